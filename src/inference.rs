@@ -9,7 +9,7 @@ use scenesplat_datasets::{
     split_into_tiles,
 };
 use scenesplat_models::ops::normalize_rows;
-use scenesplat_models::{Backbone, Forward, Orders, PointCloud};
+use scenesplat_models::{Backbone, Calibrated, Forward, Orders, PointCloud};
 use scenesplat_scene::{Floors, GaussianScene};
 use std::fs::File;
 use std::ops::Range;
@@ -243,14 +243,7 @@ impl<'a> SceneEncoder<'a> {
         } else {
             SlotStore::memory(plan.num_slots(), width)
         };
-        let calibrated = if network.needs_example() {
-            let (pass, tile, tiles, done) = (1, 1, 1, 0.0);
-            progress(EncodeProgress { pass, passes, tile, tiles, done })?;
-            let input = example::example(&plan.input(0)?, network.alignment());
-            network.calibrated(&points(&input)?)?
-        } else {
-            None
-        };
+        let calibrated = self.calibrated(&plan, progress)?;
         let model = calibrated.as_ref().map_or(network, |c| &*c.backbone);
         let mut summary = EncodeSummary {
             voxels: plan.num_voxels(),
@@ -283,6 +276,22 @@ impl<'a> SceneEncoder<'a> {
             Some(codes) => features.into_codes(codes),
             None => Ok(features),
         }
+    }
+
+    /// The network with what an example decides, if it waits for one.
+    fn calibrated(
+        &self,
+        plan: &InferencePlan<'_>,
+        progress: &mut ProgressFn<'_>,
+    ) -> Result<Option<Calibrated>, EncodeError> {
+        let network = self.network.model();
+        if !network.needs_example() {
+            return Ok(None);
+        }
+        let (pass, passes, tile, tiles, done) = (1, plan.num_inputs(), 1, 1, 0.0);
+        progress(EncodeProgress { pass, passes, tile, tiles, done })?;
+        let input = example::example(&plan.input(0)?, network.alignment());
+        Ok(network.calibrated(&points(&input)?)?)
     }
 
     /// Which Gaussians are read in which pass.

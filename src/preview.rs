@@ -102,24 +102,8 @@ pub fn render_preview(
     legend: &[LegendEntry],
     settings: &PreviewSettings,
 ) -> Result<RgbPicture, PreviewError> {
-    let expected = rows.coord.len();
-    let shapes = rows.shapes.map_or((expected, expected), |s| (s.quat.len(), s.scale.len()));
-    for (field, got) in [
-        ("color", rows.color.len()),
-        ("radius", rows.radius.len()),
-        ("opacity", rows.opacity.len()),
-        ("quat", shapes.0),
-        ("scale", shapes.1),
-    ] {
-        if got != expected {
-            return Err(PreviewError::Rows { field, expected, got });
-        }
-    }
+    check(rows, settings)?;
     let view = settings.view_size;
-    if !(64..=4096).contains(&view) {
-        return Err(PreviewError::ViewSize { view_size: view });
-    }
-
     let upright = Upright::new(settings.up);
     let kept = visible_rows(rows);
     let discs = discs_of(rows, &kept, upright);
@@ -158,6 +142,27 @@ pub fn render_preview(
         draw_legend(&mut picture, right + view + MARGIN, TITLE_HEIGHT, legend);
     }
     Ok(picture)
+}
+
+fn check(rows: &PreviewRows<'_>, settings: &PreviewSettings) -> Result<(), PreviewError> {
+    let expected = rows.coord.len();
+    let shapes = rows.shapes.map_or((expected, expected), |s| (s.quat.len(), s.scale.len()));
+    for (field, got) in [
+        ("color", rows.color.len()),
+        ("radius", rows.radius.len()),
+        ("opacity", rows.opacity.len()),
+        ("quat", shapes.0),
+        ("scale", shapes.1),
+    ] {
+        if got != expected {
+            return Err(PreviewError::Rows { field, expected, got });
+        }
+    }
+    let view_size = settings.view_size;
+    if !(64..=4096).contains(&view_size) {
+        return Err(PreviewError::ViewSize { view_size });
+    }
+    Ok(())
 }
 
 /// Draws the picture into a PNG file, beside the path first, then renamed. Returns its size.

@@ -12,6 +12,7 @@ use crate::rows::Reduction;
 use crate::smooth_l1::SmoothL1Loss;
 use crate::text_classification::TextClassification;
 use crate::text_distillation::TextDistillation;
+use scenesplat_kernels::settings;
 use serde::{Deserialize, Serialize};
 
 /// A row for each loss: its name (in files in small letters), the type of its settings, which has a
@@ -95,38 +96,23 @@ loss_config! {
     TextDistillation(TextDistillationConfig) => |c, texts| Ok(Box::new(c.build(texts)?));
 }
 
-/// Settings of [`CosineLoss`] and [`L2Loss`].
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields, default)]
-pub struct RowLossConfig {
-    /// Weight in the objective; default 1.
-    pub weight: f64,
-    /// Mean over the valid rows, or sum.
-    pub reduction: Reduction,
-}
-
-impl Default for RowLossConfig {
-    fn default() -> Self {
-        Self { weight: 1.0, reduction: Reduction::Mean }
+settings! {
+    /// Settings of [`CosineLoss`] and [`L2Loss`].
+    pub struct RowLossConfig {
+        /// Weight in the objective; default 1.
+        pub weight: f64 = 1.0,
+        /// Mean over the valid rows, or sum.
+        pub reduction: Reduction = Reduction::Mean,
     }
-}
 
-/// Settings of [`SmoothL1Loss`].
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields, default)]
-pub struct SmoothL1Config {
-    /// Weight in the objective; default 1.
-    pub weight: f64,
-    /// β; default 1.
-    pub beta: f64,
-    /// Mean over the valid rows, or sum.
-    pub reduction: Reduction,
-}
-
-impl Default for SmoothL1Config {
-    fn default() -> Self {
-        let SmoothL1Loss { beta, reduction } = SmoothL1Loss::default();
-        Self { weight: 1.0, beta, reduction }
+    /// Settings of [`SmoothL1Loss`].
+    pub struct SmoothL1Config {
+        /// Weight in the objective; default 1.
+        pub weight: f64 = 1.0,
+        /// β; default 1.
+        pub beta: f64 = SmoothL1Loss::default().beta,
+        /// Mean over the valid rows, or sum.
+        pub reduction: Reduction = Reduction::Mean,
     }
 }
 
@@ -137,30 +123,21 @@ impl SmoothL1Config {
     }
 }
 
-/// Settings of [`AggregatedContrastive`], which documents them; defaults are the paper's.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields, default)]
-pub struct ContrastiveConfig {
-    /// Weight in the objective; default 0.02.
-    pub weight: f64,
-    /// τ.
-    pub temperature: f64,
-    /// `"always"`, `"skip"` or `{ last = PERCENT }`.
-    pub schedule: TermSchedule,
-    /// Classes with fewer rows are left out.
-    pub min_points: usize,
-    /// Where the classes come from.
-    pub classes: ClassSourceConfig,
-    /// Mean over the classes, or sum.
-    pub reduction: Reduction,
-}
-
-impl Default for ContrastiveConfig {
-    fn default() -> Self {
-        let AggregatedContrastive { temperature, schedule, min_points, reduction, .. } =
-            AggregatedContrastive::default();
-        let classes = ClassSourceConfig::Labels;
-        Self { weight: 0.02, temperature, schedule, min_points, classes, reduction }
+settings! {
+    /// Settings of [`AggregatedContrastive`], which documents them; defaults are the paper's.
+    pub struct ContrastiveConfig {
+        /// Weight in the objective; default 0.02.
+        pub weight: f64 = 0.02,
+        /// τ.
+        pub temperature: f64 = AggregatedContrastive::default().temperature,
+        /// `"always"`, `"skip"` or `{ last = PERCENT }`.
+        pub schedule: TermSchedule = AggregatedContrastive::default().schedule,
+        /// Classes with fewer rows are left out.
+        pub min_points: usize = AggregatedContrastive::default().min_points,
+        /// Where the classes come from.
+        pub classes: ClassSourceConfig = ClassSourceConfig::Labels,
+        /// Mean over the classes, or sum.
+        pub reduction: Reduction = AggregatedContrastive::default().reduction,
     }
 }
 
@@ -179,56 +156,34 @@ pub enum ClassSourceConfig {
     Argmax,
 }
 
-/// Settings of [`CrossEntropy`].
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields, default)]
-pub struct CrossEntropyConfig {
-    /// Weight in the objective; default 1.
-    pub weight: f64,
-    /// In `0..1`; default 0.
-    pub label_smoothing: f64,
-    /// One for each class.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    pub class_weights: Option<Vec<f64>>,
-}
-
-impl Default for CrossEntropyConfig {
-    fn default() -> Self {
-        Self { weight: 1.0, label_smoothing: 0.0, class_weights: None }
+settings! {
+    /// Settings of [`CrossEntropy`].
+    pub struct CrossEntropyConfig {
+        /// Weight in the objective; default 1.
+        pub weight: f64 = 1.0,
+        /// In `0..1`; default 0.
+        pub label_smoothing: f64 = 0.0,
+        /// One for each class.
+        #[serde(skip_serializing_if = "Option::is_none")]
+        pub class_weights: Option<Vec<f64>> = None,
     }
-}
 
-/// Settings of [`LovaszSoftmax`].
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields, default)]
-pub struct LovaszConfig {
-    /// Weight in the objective; default 1.
-    pub weight: f64,
-}
-
-impl Default for LovaszConfig {
-    fn default() -> Self {
-        Self { weight: 1.0 }
+    /// Settings of [`LovaszSoftmax`].
+    pub struct LovaszConfig {
+        /// Weight in the objective; default 1.
+        pub weight: f64 = 1.0,
     }
-}
 
-/// Settings of [`TextClassification`].
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields, default)]
-pub struct TextClassificationConfig {
-    /// Weight in the objective; default 1.
-    pub weight: f64,
-    /// τ; default 0.1.
-    pub temperature: f64,
-    /// Weight of the Lovász term; default 1.
-    pub lovasz: f64,
-    /// Share of each target that is spread over all classes, 0..1.
-    pub label_smoothing: f64,
-}
-
-impl Default for TextClassificationConfig {
-    fn default() -> Self {
-        Self { weight: 1.0, temperature: 0.1, lovasz: 1.0, label_smoothing: 0.0 }
+    /// Settings of [`TextClassification`].
+    pub struct TextClassificationConfig {
+        /// Weight in the objective; default 1.
+        pub weight: f64 = 1.0,
+        /// τ; default 0.1.
+        pub temperature: f64 = 0.1,
+        /// Weight of the Lovász term; default 1.
+        pub lovasz: f64 = 1.0,
+        /// Share of each target that is spread over all classes, 0..1.
+        pub label_smoothing: f64 = 0.0,
     }
 }
 
@@ -251,21 +206,15 @@ fn needed(loss: &'static str, texts: Option<&TextColumns>) -> Result<TextColumns
     texts.cloned().ok_or(LossError::Setting { loss, setting: "texts", value, expected })
 }
 
-/// Settings of [`TextDistillation`].
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields, default)]
-pub struct TextDistillationConfig {
-    /// Weight in the objective; default 1.
-    pub weight: f64,
-    /// τ; default 0.05.
-    pub temperature: f64,
-    /// Mean over the valid rows, or sum.
-    pub reduction: Reduction,
-}
-
-impl Default for TextDistillationConfig {
-    fn default() -> Self {
-        Self { weight: 1.0, temperature: 0.05, reduction: Reduction::Mean }
+settings! {
+    /// Settings of [`TextDistillation`].
+    pub struct TextDistillationConfig {
+        /// Weight in the objective; default 1.
+        pub weight: f64 = 1.0,
+        /// τ; default 0.05.
+        pub temperature: f64 = 0.05,
+        /// Mean over the valid rows, or sum.
+        pub reduction: Reduction = Reduction::Mean,
     }
 }
 

@@ -37,42 +37,30 @@ pub struct NameRule {
 
 /// The table.
 pub const RULES: &[NameRule] = &[
-    NameRule { prefix: "state_dict.", action: NameAction::Strip, origin: "trainer checkpoint" },
-    NameRule { prefix: "module.", action: NameAction::Strip, origin: "data-parallel training" },
-    NameRule {
-        prefix: "backbone.",
-        action: NameAction::Strip,
-        origin: "language or segmentation wrapper",
-    },
-    NameRule {
-        prefix: "backbone_teacher.",
-        action: NameAction::StripIf(Branch::Teacher),
-        origin: "self-supervised pair: teacher",
-    },
-    NameRule {
-        prefix: "backbone_student.",
-        action: NameAction::StripIf(Branch::Student),
-        origin: "self-supervised pair: student",
-    },
-    NameRule {
-        prefix: "mae_head.",
-        action: NameAction::Ignore,
-        origin: "self-supervised reconstruction head",
-    },
-    NameRule {
-        prefix: "dino_head.",
-        action: NameAction::Ignore,
-        origin: "self-supervised projection head",
-    },
-    NameRule {
-        prefix: "ibot_head.",
-        action: NameAction::Ignore,
-        origin: "self-supervised patch head",
-    },
-    NameRule { prefix: "optimizer.", action: NameAction::Ignore, origin: "optimizer state" },
-    NameRule { prefix: "scheduler.", action: NameAction::Ignore, origin: "learning-rate schedule" },
-    NameRule { prefix: "scaler.", action: NameAction::Ignore, origin: "mixed-precision scaler" },
+    rule("state_dict.", NameAction::Strip, "trainer checkpoint"),
+    rule("module.", NameAction::Strip, "data-parallel training"),
+    rule("backbone.", NameAction::Strip, "language or segmentation wrapper"),
+    rule(
+        "backbone_teacher.",
+        NameAction::StripIf(Branch::Teacher),
+        "self-supervised pair: teacher",
+    ),
+    rule(
+        "backbone_student.",
+        NameAction::StripIf(Branch::Student),
+        "self-supervised pair: student",
+    ),
+    rule("mae_head.", NameAction::Ignore, "self-supervised reconstruction head"),
+    rule("dino_head.", NameAction::Ignore, "self-supervised projection head"),
+    rule("ibot_head.", NameAction::Ignore, "self-supervised patch head"),
+    rule("optimizer.", NameAction::Ignore, "optimizer state"),
+    rule("scheduler.", NameAction::Ignore, "learning-rate schedule"),
+    rule("scaler.", NameAction::Ignore, "mixed-precision scaler"),
 ];
+
+const fn rule(prefix: &'static str, action: NameAction, origin: &'static str) -> NameRule {
+    NameRule { prefix, action, origin }
+}
 
 /// Result of [`rename`].
 #[derive(Debug, Clone, PartialEq, Eq)]

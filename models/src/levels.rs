@@ -1,7 +1,7 @@
 //! Rows of every scale of a network, for what learns from more than its result.
 
 use crate::ops;
-use crate::row_order::SortedRows;
+use crate::row_order::{SortedRows, leave};
 use candle_core::{Result, Tensor, bail};
 use scenesplat_kernels::segment::Groups;
 use std::sync::Arc;
@@ -96,10 +96,9 @@ impl Levels {
                 _ => level.feat.clone(),
             });
         }
-        match (above, to, &self.sorted) {
-            (Some(rows), 0, Some(sorted)) => sorted.leave(&rows),
-            (Some(rows), ..) => Ok(rows),
-            (None, ..) => bail!("levels: there is no scale"),
+        match above {
+            Some(rows) => leave(self.sorted.as_ref().filter(|_| to == 0), rows),
+            None => bail!("levels: there is no scale"),
         }
     }
 

@@ -5,11 +5,12 @@
 //! and z, and of equally near neighbours the first in that order counts. That order is the same
 //! wherever a scene or a tile begins, which an order along a curve is not.
 
+use crate::row_order::{SortedRows, order_by};
 use crate::{PointCloud, ops};
 use candle_core::{Device, Result, Tensor, bail};
 use scenesplat_kernels::neighbors::KdTree;
 use scenesplat_kernels::segment::{Groups, Reduce};
-use scenesplat_kernels::serialization::{argsort, depth_of, invert};
+use scenesplat_kernels::serialization::argsort;
 use std::sync::Arc;
 
 /// Voxels of a batch at one scale, sorted within each scene.
@@ -35,44 +36,18 @@ pub(crate) struct Neighborhood {
     pub relative: Tensor,
 }
 
-/// Rows of the caller in the order of [`Scale`], and back.
-#[derive(Debug)]
-pub(crate) struct Sorted {
-    order: Arc<Vec<u32>>,
-    inverse: Arc<Vec<u32>>,
-}
-
-impl Sorted {
-    /// Rows of the caller, as the scale has them.
-    pub fn rows(&self, x: &Tensor) -> Result<Tensor> {
-        ops::permute_rows(x, self.order.clone(), self.inverse.clone())
-    }
-    /// Rows of the scale, as the caller has them.
-    pub fn back(&self, x: &Tensor) -> Result<Tensor> {
-        ops::permute_rows(x, self.inverse.clone(), self.order.clone())
-    }
-}
-
 impl Scale {
     /// The finest scale.
     ///
     /// # Errors
     /// If offsets do not fit, or a voxel is out of range.
-    pub fn new(points: &PointCloud) -> Result<(Self, Sorted)> {
-        let (cells, offsets) = (&points.grid_coord, &points.offsets);
-        scenesplat_kernels::check_offsets(offsets, cells.len())
-            .map_err(candle_core::Error::wrap)?;
-        depth_of(cells).map_err(candle_core::Error::wrap)?;
-        let mut order = Vec::with_capacity(cells.len());
-        for scene in offsets.windows(2) {
-            let keys: Vec<u64> = cells[scene[0]..scene[1]].iter().map(key).collect();
-            order.extend(argsort(&keys).into_iter().map(|i| i + scene[0] as u32));
-        }
-        let cells: Vec<[i32; 3]> = order.iter().map(|&row| cells[row as usize]).collect();
+    pub fn new(points: &PointCloud) -> Result<(Self, SortedRows)> {
+        let order = order_by(points, |cells| cells.iter().map(key).collect())?;
+        let cells: Vec<[i32; 3]> =
+            order.iter().map(|&row| points.grid_coord[row as usize]).collect();
         let coord = cells.iter().map(|c| c.map(|v| v as f32)).collect();
-        let scale = Self { cells, coord, offsets: offsets.to_vec(), found: Vec::new() };
-        let inverse = Arc::new(invert(&order));
-        Ok((scale, Sorted { order: Arc::new(order), inverse }))
+        let scale = Self { cells, coord, offsets: points.offsets.to_vec(), found: Vec::new() };
+        Ok((scale, SortedRows::new(order)))
     }
 
     /// Number of rows.

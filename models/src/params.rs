@@ -234,7 +234,7 @@ impl ParamStore {
     pub fn report(&self) -> LoadReport {
         let inner = self.lock();
         let unexpected =
-            inner.source.names().into_iter().filter(|n| !inner.requested.contains_key(n));
+            inner.source.shapes().into_keys().filter(|n| !inner.requested.contains_key(n));
         LoadReport {
             matched: inner.matched.iter().cloned().collect(),
             missing: inner.missing.iter().cloned().collect(),
@@ -405,7 +405,7 @@ impl SimpleBackend for ParamStore {
 
     fn contains_tensor(&self, name: &str) -> bool {
         let inner = self.lock();
-        inner.variables.contains_key(name) || inner.source.names().iter().any(|n| n == name)
+        inner.variables.contains_key(name) || inner.source.shapes().contains_key(name)
     }
 }
 

@@ -15,9 +15,9 @@
 //! any head can stand behind it. The coarsest stage reads the mean of its scene, so tiles of a scene
 //! differ a little from the whole.
 
-use crate::layers::{BatchNorm, Linear, LinearNormRelu, batch_norm};
+use crate::layers::{BatchNorm, Encoding, Linear, LinearNormRelu, batch_norm};
 use crate::neighborhood::{Neighborhood, Scale};
-use crate::stages::{DEEPEST, LARGEST, check_lengths, check_sizes, edge};
+use crate::stages::{DEEPEST, LARGEST, check_fields, edge};
 use crate::{Architecture, Backbone, BackboneCost, Compute, Forward, Mode, PointCloud, ops};
 use candle_core::{Device, Result, Tensor, bail};
 use candle_nn::VarBuilder;
@@ -77,24 +77,18 @@ impl PointTransformerV1Config {
 impl Architecture for PointTransformerV1Config {
     fn check(&self) -> Result<()> {
         let stages = self.enc_depths.len();
-        check_lengths(
+        check_fields(
             stages,
             &[
-                ("stride", self.stride.len(), stages),
-                ("channels", self.channels.len(), stages),
-                ("neighbors", self.neighbors.len(), stages),
-                ("dec_depths", self.dec_depths.len(), stages),
+                ("in_channels", &[self.in_channels], 1, 1..=LARGEST),
+                ("stride", &self.stride, stages, 1..=LARGEST),
+                ("channels", &self.channels, stages, 1..=LARGEST),
+                ("neighbors", &self.neighbors, stages, 1..=LARGEST),
+                ("share_channels", &[self.share_channels], 1, 1..=LARGEST),
+                ("enc_depths", &self.enc_depths, stages, 0..=DEEPEST),
+                ("dec_depths", &self.dec_depths, stages, 0..=DEEPEST),
             ],
         )?;
-        check_sizes(&[
-            ("in_channels", &[self.in_channels], 1, LARGEST),
-            ("stride", &self.stride, 1, LARGEST),
-            ("channels", &self.channels, 1, LARGEST),
-            ("neighbors", &self.neighbors, 1, LARGEST),
-            ("share_channels", &[self.share_channels], 1, LARGEST),
-            ("enc_depths", &self.enc_depths, 0, DEEPEST),
-            ("dec_depths", &self.dec_depths, 0, DEEPEST),
-        ])?;
         if self.stride[0] != 1 {
             bail!(
                 "stride[0]: {} given, but the first stage is the input's scale: 1",
@@ -176,9 +170,9 @@ struct VectorAttention {
     query: Linear,
     key: Linear,
     value: Linear,
-    position: (LinearNormRelu, Linear),
+    position: Encoding,
     weight_norm: BatchNorm,
-    weight: (LinearNormRelu, Linear),
+    weight: Encoding,
     share: usize,
 }
 
@@ -186,27 +180,25 @@ impl VectorAttention {
     fn new(compute: Compute, c: usize, share: usize, vb: VarBuilder<'_>) -> Result<Self> {
         let w = c / share;
         let linear = |i, o, name: &str| Linear::with(compute, i, o, true, vb.pp(name));
-        let joined = |i, o, name: &str| LinearNormRelu::new(compute, i, o, true, vb.pp(name));
+        let encoding = |widths, name: &str| Encoding::new(compute, widths, vb.pp(name));
         Ok(Self {
             query: linear(c, c, "query")?,
             key: linear(c, c, "key")?,
             value: linear(c, c, "value")?,
-            position: (joined(3, 3, "position.hidden")?, linear(3, c, "position.last")?),
+            position: encoding([3, 3, c], "position")?,
             weight_norm: batch_norm(c, vb.pp("weight.norm"))?,
-            weight: (joined(c, w, "weight.hidden")?, linear(w, w, "weight.last")?),
+            weight: encoding([c, w, w], "weight")?,
             share,
         })
     }
 
     /// `[N, C] → [N, C]`
     fn forward(&self, x: &Tensor, near: &Neighborhood, mode: Mode) -> Result<Tensor> {
-        let position = self.position.0.forward(&near.relative.to_device(x.device())?, mode)?;
-        let position = self.position.1.forward(&position)?;
+        let position = self.position.forward(&near.relative.to_device(x.device())?, mode)?;
         let query = near.of_queries(&self.query.forward(x)?)?;
         let relation = ((near.of_sources(&self.key.forward(x)?)? - query)? + &position)?;
         let hidden = self.weight_norm.forward_relu(&relation, mode)?;
-        let logits = self.weight.1.forward(&self.weight.0.forward(&hidden, mode)?)?;
-        let weight = near.softmax(&logits)?;
+        let weight = near.softmax(&self.weight.forward(&hidden, mode)?)?;
         let value = (near.of_sources(&self.value.forward(x)?)? + position)?;
         let (edges, channels) = value.dims2()?;
         // Entry i of a weight is that of the channels i, i + C/share, …
@@ -363,7 +355,7 @@ impl Backbone for PointTransformerV1 {
         }
         let mode = cx.mode;
         let (finest, sorted) = Scale::new(points)?;
-        let mut x = sorted.rows(&points.feat)?.to_device(&self.device)?;
+        let mut x = sorted.enter(&points.feat)?.to_device(&self.device)?;
         let mut scales = vec![finest];
         let mut skips = Vec::new();
         for (i, stage) in self.stages.iter().enumerate() {
@@ -393,7 +385,7 @@ impl Backbone for PointTransformerV1 {
             let scale = &mut scales[i];
             x = run(&stage.decoder, &format!("dec.dec{i}"), x, scale, stage.neighbors, cx)?;
         }
-        sorted.back(&self.out.forward(&x, mode)?)
+        sorted.leave(&self.out.forward(&x, mode)?)
     }
     fn out_channels(&self) -> usize {
         Architecture::out_channels(&self.config)

@@ -13,11 +13,9 @@
 //! single row takes the remembered statistics; attention has no dropout. The hidden layer of the
 //! original's classifier belongs to the backbone (`out`), so that any head can stand behind it.
 
-use crate::layers::{BatchNorm, DropPath, Linear, LinearNormRelu, batch_norm};
+use crate::layers::{BatchNorm, DropPath, Encoding, Linear, LinearNormRelu, batch_norm};
 use crate::neighborhood::{Neighborhood, Scale};
-use crate::stages::{
-    DEEPEST, LARGEST, check_drop_path, check_lengths, check_sizes, drop_rates, edge,
-};
+use crate::stages::{DEEPEST, LARGEST, check_drop_path, check_fields, drop_rates, edge};
 use crate::{Architecture, Backbone, BackboneCost, Compute, Forward, Mode, PointCloud, ops};
 use candle_core::{Device, Result, Tensor, bail};
 use candle_nn::VarBuilder;
@@ -98,10 +96,10 @@ struct Site {
     name: String,
     /// Poolings above this scale.
     level: usize,
-    depth: usize,
     channels: usize,
     groups: usize,
     neighbors: usize,
+    /// Drop rates of the blocks, as many as there are.
     rates: Vec<f64>,
 }
 
@@ -113,7 +111,6 @@ impl PointTransformerV2Config {
         let mut sites = vec![Site {
             name: "patch_embed".to_owned(),
             level: 0,
-            depth: self.patch_embed_depth,
             channels: self.patch_embed_channels,
             groups: self.patch_embed_groups,
             neighbors: self.patch_embed_neighbors,
@@ -122,7 +119,6 @@ impl PointTransformerV2Config {
         sites.extend(encoder.into_iter().enumerate().map(|(i, rates)| Site {
             name: format!("enc.enc{i}"),
             level: i + 1,
-            depth: self.enc_depths[i],
             channels: self.enc_channels[i],
             groups: self.enc_groups[i],
             neighbors: self.enc_neighbors[i],
@@ -131,7 +127,6 @@ impl PointTransformerV2Config {
         sites.extend(decoder.into_iter().enumerate().map(|(i, rates)| Site {
             name: format!("dec.dec{i}"),
             level: i,
-            depth: self.dec_depths[i],
             channels: self.dec_channels[i],
             groups: self.dec_groups[i],
             neighbors: self.dec_neighbors[i],
@@ -158,35 +153,25 @@ impl PointTransformerV2Config {
 impl Architecture for PointTransformerV2Config {
     fn check(&self) -> Result<()> {
         let stages = self.enc_depths.len();
-        check_lengths(
+        check_fields(
             stages,
             &[
-                ("stride", self.stride.len(), stages),
-                ("enc_channels", self.enc_channels.len(), stages),
-                ("enc_groups", self.enc_groups.len(), stages),
-                ("enc_neighbors", self.enc_neighbors.len(), stages),
-                ("dec_depths", self.dec_depths.len(), stages),
-                ("dec_channels", self.dec_channels.len(), stages),
-                ("dec_groups", self.dec_groups.len(), stages),
-                ("dec_neighbors", self.dec_neighbors.len(), stages),
+                ("in_channels", &[self.in_channels], 1, 1..=LARGEST),
+                ("patch_embed_channels", &[self.patch_embed_channels], 1, 1..=LARGEST),
+                ("patch_embed_groups", &[self.patch_embed_groups], 1, 1..=LARGEST),
+                ("patch_embed_neighbors", &[self.patch_embed_neighbors], 1, 1..=LARGEST),
+                ("stride", &self.stride, stages, 1..=LARGEST),
+                ("enc_channels", &self.enc_channels, stages, 1..=LARGEST),
+                ("enc_groups", &self.enc_groups, stages, 1..=LARGEST),
+                ("enc_neighbors", &self.enc_neighbors, stages, 1..=LARGEST),
+                ("dec_channels", &self.dec_channels, stages, 1..=LARGEST),
+                ("dec_groups", &self.dec_groups, stages, 1..=LARGEST),
+                ("dec_neighbors", &self.dec_neighbors, stages, 1..=LARGEST),
+                ("patch_embed_depth", &[self.patch_embed_depth], 1, 0..=DEEPEST),
+                ("enc_depths", &self.enc_depths, stages, 0..=DEEPEST),
+                ("dec_depths", &self.dec_depths, stages, 0..=DEEPEST),
             ],
         )?;
-        check_sizes(&[
-            ("in_channels", &[self.in_channels], 1, LARGEST),
-            ("patch_embed_channels", &[self.patch_embed_channels], 1, LARGEST),
-            ("patch_embed_groups", &[self.patch_embed_groups], 1, LARGEST),
-            ("patch_embed_neighbors", &[self.patch_embed_neighbors], 1, LARGEST),
-            ("stride", &self.stride, 1, LARGEST),
-            ("enc_channels", &self.enc_channels, 1, LARGEST),
-            ("enc_groups", &self.enc_groups, 1, LARGEST),
-            ("enc_neighbors", &self.enc_neighbors, 1, LARGEST),
-            ("dec_channels", &self.dec_channels, 1, LARGEST),
-            ("dec_groups", &self.dec_groups, 1, LARGEST),
-            ("dec_neighbors", &self.dec_neighbors, 1, LARGEST),
-            ("patch_embed_depth", &[self.patch_embed_depth], 0, DEEPEST),
-            ("enc_depths", &self.enc_depths, 0, DEEPEST),
-            ("dec_depths", &self.dec_depths, 0, DEEPEST),
-        ])?;
         for site in self.sites() {
             if site.channels % site.groups != 0 {
                 bail!(
@@ -220,7 +205,7 @@ impl Architecture for PointTransformerV2Config {
             attention + 2 * c * c + 3 * norm(c)
         };
         let mut sum: usize =
-            self.sites().iter().map(|s| s.depth * block(s.channels, s.groups)).sum();
+            self.sites().iter().map(|s| s.rates.len() * block(s.channels, s.groups)).sum();
         sum += self.in_channels * self.patch_embed_channels + norm(self.patch_embed_channels);
         for stage in 0..self.enc_depths.len() {
             sum += self.encoder_input(stage) * self.enc_channels[stage]
@@ -242,7 +227,7 @@ impl Architecture for PointTransformerV2Config {
             // Query, key, value and both outer layers of a row; the position encoding of an edge.
             let position = if self.position_multiplier { 2.0 * c * c } else { c * c };
             let work = 5.0 * c * c + k * (position + 3.0 * c + 2.0 * c * site.groups as f64);
-            for block in 0..site.depth {
+            for block in 0..site.rates.len() {
                 parts.push((format!("{}.block{block}", site.name), work * share(site.level)));
             }
             // Rows of edges that stand beside each other: position encoding, its hidden layer, key or
@@ -259,26 +244,6 @@ impl Architecture for PointTransformerV2Config {
     }
     fn set_compute(&mut self, compute: Compute) {
         self.compute = compute;
-    }
-}
-
-/// A small network on positions or weights: hidden layer with norm and ReLU, then a linear layer.
-#[derive(Debug)]
-struct Encoding {
-    hidden: LinearNormRelu,
-    last: Linear,
-}
-
-impl Encoding {
-    /// Parameters `hidden` and `last`.
-    fn new(compute: Compute, i: usize, o: usize, vb: VarBuilder<'_>) -> Result<Self> {
-        Ok(Self {
-            hidden: LinearNormRelu::new(compute, i, o, true, vb.pp("hidden"))?,
-            last: Linear::with(compute, o, o, true, vb.pp("last"))?,
-        })
-    }
-    fn forward(&self, x: &Tensor, mode: Mode) -> Result<Tensor> {
-        self.last.forward(&self.hidden.forward(x, mode)?)
     }
 }
 
@@ -303,14 +268,15 @@ impl GroupedVectorAttention {
         vb: VarBuilder<'_>,
     ) -> Result<Self> {
         let (c, joined) = (channels, LinearNormRelu::new);
-        let multiplier = multiplier.then(|| Encoding::new(compute, 3, c, vb.pp("multiplier")));
+        let encoding = |widths, name: &str| Encoding::new(compute, widths, vb.pp(name));
+        let multiplier = multiplier.then(|| encoding([3, c, c], "multiplier"));
         Ok(Self {
             query: joined(compute, c, c, true, vb.pp("query"))?,
             key: joined(compute, c, c, true, vb.pp("key"))?,
             value: Linear::with(compute, c, c, true, vb.pp("value"))?,
-            position: Encoding::new(compute, 3, c, vb.pp("position"))?,
+            position: encoding([3, c, c], "position")?,
             multiplier: multiplier.transpose()?,
-            weight: Encoding::new(compute, c, groups, vb.pp("weight"))?,
+            weight: encoding([c, groups, groups], "weight")?,
             groups,
         })
     }
@@ -488,7 +454,7 @@ impl Backbone for PointTransformerV2 {
             bail!("recompute: point_transformer_v2 keeps what it computes; switch it off");
         }
         let (mut scale, sorted) = Scale::new(points)?;
-        let feat = sorted.rows(&points.feat)?.to_device(&self.device)?;
+        let feat = sorted.enter(&points.feat)?.to_device(&self.device)?;
         let x = self.embedding.forward(&feat, cx.mode)?;
         let mut x = self.finest.forward(x, &mut scale, cx)?;
         let mut above: Vec<(Tensor, Scale, Arc<Groups>)> = Vec::new();
@@ -508,7 +474,7 @@ impl Backbone for PointTransformerV2 {
             x = (up + stage.skip.forward(&skip, cx.mode)?)?;
             x = stage.blocks.forward(x, &mut scale, cx)?;
         }
-        sorted.back(&self.out.forward(&x, cx.mode)?)
+        sorted.leave(&self.out.forward(&x, cx.mode)?)
     }
     fn out_channels(&self) -> usize {
         Architecture::out_channels(&self.config)
@@ -563,6 +529,16 @@ mod tests {
         linear(p, &format!("{name}.last"), &joined(p, &format!("{name}.hidden"), x))
     }
 
+    fn values(store: &ParamStore) -> Parameters {
+        let all = store.parameters().into_iter().chain(store.buffers());
+        all.filter(|(name, _)| !name.ends_with("tracked"))
+            .map(|(name, v)| {
+                let values = v.flatten_all().unwrap().to_vec1::<f32>().unwrap();
+                (name, values.into_iter().map(f64::from).collect())
+            })
+            .collect()
+    }
+
     #[test]
     fn attention_is_the_formula() {
         let cells: Vec<[i32; 3]> = (0..12).map(|i| [i % 4, i / 4, i % 3]).collect();
@@ -577,19 +553,10 @@ mod tests {
             GroupedVectorAttention::new(Compute::default(), c, groups, true, store.builder())
                 .unwrap();
         let tensor = Tensor::from_vec(feat.clone(), (n, c), &Device::Cpu).unwrap();
-        let out = layer.forward(&sorted.rows(&tensor).unwrap(), &near, Mode::Eval).unwrap();
-        let out = sorted.back(&out).unwrap().to_vec2::<f32>().unwrap();
+        let out = layer.forward(&sorted.enter(&tensor).unwrap(), &near, Mode::Eval).unwrap();
+        let out = sorted.leave(&out).unwrap().to_vec2::<f32>().unwrap();
 
-        let p: Parameters = store
-            .parameters()
-            .into_iter()
-            .chain(store.buffers())
-            .filter(|(name, _)| !name.ends_with("tracked"))
-            .map(|(name, v)| {
-                let values = v.flatten_all().unwrap().to_vec1::<f32>().unwrap();
-                (name, values.into_iter().map(f64::from).collect())
-            })
-            .collect();
+        let p = values(&store);
         let x: Rows = feat.chunks(c).map(|r| r.iter().map(|v| f64::from(*v)).collect()).collect();
         let query = joined(&p, "query", &x);
         let key = joined(&p, "key", &x);

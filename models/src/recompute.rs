@@ -7,6 +7,7 @@
 //! candle gives a custom operation the gradients of its *inputs* to answer for. Those of the
 //! parameters inside the block come out beside: [`Recompute`] collects them until the trainer asks.
 
+use crate::ops::forward_passes;
 use candle_core::backend::BackendStorage;
 use candle_core::backprop::GradStore;
 use candle_core::{
@@ -97,13 +98,13 @@ impl Recomputed {
         output.contiguous()
     }
 
-    fn on_cpu(&self) -> Result<(CpuStorage, Shape)> {
+    fn on_cpu(&self, _: &[(&CpuStorage, &Layout)]) -> Result<(CpuStorage, Shape)> {
         let output = self.take_output()?;
         let values = crate::ops::read("recompute", &output, |values| Ok(values.to_vec()))?;
         Ok((CpuStorage::F32(values), output.shape().clone()))
     }
 
-    fn on_cuda(&self) -> Result<(CudaStorage, Shape)> {
+    fn on_cuda(&self, _: &[(&CudaStorage, &Layout)]) -> Result<(CudaStorage, Shape)> {
         let output = self.take_output()?.force_contiguous()?;
         let (storage, layout) = output.storage_and_layout();
         let Storage::Cuda(storage) = &*storage else {
@@ -112,7 +113,7 @@ impl Recomputed {
         Ok((storage.try_clone(layout)?, output.shape().clone()))
     }
 
-    fn on_metal(&self) -> Result<(MetalStorage, Shape)> {
+    fn on_metal(&self, _: &[(&MetalStorage, &Layout)]) -> Result<(MetalStorage, Shape)> {
         let output = self.take_output()?.force_contiguous()?;
         let (storage, layout) = output.storage_and_layout();
         let Storage::Metal(storage) = &*storage else {
@@ -140,54 +141,14 @@ impl Recomputed {
 }
 
 impl CustomOp1 for Recomputed {
-    fn name(&self) -> &'static str {
-        "recompute"
-    }
-    fn cpu_fwd(&self, _: &CpuStorage, _: &Layout) -> Result<(CpuStorage, Shape)> {
-        self.on_cpu()
-    }
-    fn cuda_fwd(&self, _: &CudaStorage, _: &Layout) -> Result<(CudaStorage, Shape)> {
-        self.on_cuda()
-    }
-    fn metal_fwd(&self, _: &MetalStorage, _: &Layout) -> Result<(MetalStorage, Shape)> {
-        self.on_metal()
-    }
+    forward_passes!("recompute", s l);
     fn bwd(&self, x: &Tensor, _: &Tensor, grad: &Tensor) -> Result<Option<Tensor>> {
         Ok(self.gradients(&[x], grad)?.pop().flatten())
     }
 }
 
 impl CustomOp2 for Recomputed {
-    fn name(&self) -> &'static str {
-        "recompute"
-    }
-    fn cpu_fwd(
-        &self,
-        _: &CpuStorage,
-        _: &Layout,
-        _: &CpuStorage,
-        _: &Layout,
-    ) -> Result<(CpuStorage, Shape)> {
-        self.on_cpu()
-    }
-    fn cuda_fwd(
-        &self,
-        _: &CudaStorage,
-        _: &Layout,
-        _: &CudaStorage,
-        _: &Layout,
-    ) -> Result<(CudaStorage, Shape)> {
-        self.on_cuda()
-    }
-    fn metal_fwd(
-        &self,
-        _: &MetalStorage,
-        _: &Layout,
-        _: &MetalStorage,
-        _: &Layout,
-    ) -> Result<(MetalStorage, Shape)> {
-        self.on_metal()
-    }
+    forward_passes!("recompute", s1 l1, s2 l2);
     fn bwd(
         &self,
         x: &Tensor,

@@ -29,6 +29,25 @@ impl SortedRows {
     pub fn leave(&self, x: &Tensor) -> Result<Tensor> {
         ops::permute_rows(x, self.inverse.clone(), self.order.clone())
     }
+
+    /// Of the caller's row at each place.
+    pub fn new(order: Vec<u32>) -> Self {
+        let inverse = Arc::new(invert(&order));
+        Self { order: Arc::new(order), inverse }
+    }
+}
+
+/// [`SortedRows::enter`], where rows are sorted at all.
+pub(crate) fn enter(sorted: Option<&SortedRows>, x: &Tensor) -> Result<Tensor> {
+    sorted.map_or_else(|| Ok(x.clone()), |sorted| sorted.enter(x))
+}
+
+/// [`SortedRows::leave`], where rows are sorted at all.
+pub(crate) fn leave(sorted: Option<&SortedRows>, x: Tensor) -> Result<Tensor> {
+    match sorted {
+        Some(sorted) => sorted.leave(&x),
+        None => Ok(x),
+    }
 }
 
 /// The voxels with the rows of each scene in Morton order, and the permutation unless they are
@@ -40,20 +59,30 @@ impl SortedRows {
 /// If offsets or coordinates are out of range; the message names the caller's row.
 pub(crate) fn morton_rows(points: &PointCloud) -> Result<(Vec<[i32; 3]>, Option<SortedRows>)> {
     let cells = &points.grid_coord;
-    scenesplat_kernels::check_offsets(&points.offsets, cells.len())
-        .map_err(candle_core::Error::wrap)?;
-    depth_of(cells).map_err(candle_core::Error::wrap)?;
-    let mut order = Vec::with_capacity(cells.len());
-    for scene in points.offsets.windows(2) {
-        let morton = codes(Curve::Z, &cells[scene[0]..scene[1]], MAX_DEPTH);
-        order.extend(argsort(&morton).into_iter().map(|i| i + scene[0] as u32));
-    }
+    let order = order_by(points, |cells| codes(Curve::Z, cells, MAX_DEPTH))?;
     if order.is_sorted() {
         return Ok((cells.to_vec(), None));
     }
-    let sorted = order.iter().map(|&i| cells[i as usize]).collect();
-    let inverse = invert(&order);
-    Ok((sorted, Some(SortedRows { order: Arc::new(order), inverse: Arc::new(inverse) })))
+    Ok((order.iter().map(|&i| cells[i as usize]).collect(), Some(SortedRows::new(order))))
+}
+
+/// The rows of each scene in the order of the keys of their voxels.
+///
+/// # Errors
+/// If offsets or coordinates are out of range; the message names the caller's row.
+pub(crate) fn order_by(
+    points: &PointCloud,
+    keys: impl Fn(&[[i32; 3]]) -> Vec<u64>,
+) -> Result<Vec<u32>> {
+    let (cells, offsets) = (&points.grid_coord, &points.offsets);
+    scenesplat_kernels::check_offsets(offsets, cells.len()).map_err(candle_core::Error::wrap)?;
+    depth_of(cells).map_err(candle_core::Error::wrap)?;
+    let mut order = Vec::with_capacity(cells.len());
+    for scene in offsets.windows(2) {
+        let keys = keys(&cells[scene[0]..scene[1]]);
+        order.extend(argsort(&keys).into_iter().map(|i| i + scene[0] as u32));
+    }
+    Ok(order)
 }
 
 /// Permutes the curve orders of one scale after the other as [`Forward::orders`] says.

@@ -1,7 +1,9 @@
 //! What networks of several scales have in common.
 
+use crate::weights::Shapes;
 use candle_core::{Result, bail};
 use scenesplat_kernels::serialization::Curve;
+use std::ops::RangeInclusive;
 
 /// `n` values from 0 to `high`.
 fn linspace(high: f64, n: usize) -> Vec<f64> {
@@ -26,20 +28,36 @@ pub(crate) fn edge(strides: &[usize]) -> u32 {
 /// Most scales.
 const MOST_STAGES: usize = 16;
 
-/// Checks the number of stages, and that lists have as many entries as they should.
-pub(crate) fn check_lengths(stages: usize, lists: &[(&str, usize, usize)]) -> Result<()> {
+/// A field of a configuration: its name, its values, how many there should be, and what each may be. A field that
+/// is no list has one value.
+pub(crate) type Field<'a> = (&'a str, &'a [usize], usize, RangeInclusive<usize>);
+
+/// Checks the number of stages, that lists have as many entries as they should, and that sizes are neither too
+/// small nor absurd.
+pub(crate) fn check_fields(stages: usize, fields: &[Field<'_>]) -> Result<()> {
     if stages == 0 {
         bail!("enc_depths: at least one stage is needed");
     }
     if stages > MOST_STAGES {
         bail!("enc_depths: {stages} entries, at most {MOST_STAGES} are possible");
     }
-    match lists.iter().find(|(_, got, want)| got != want) {
-        Some((field, got, want)) => {
-            bail!("{field}: expected {want} entries for {stages} encoder stages, got {got}")
-        }
-        None => Ok(()),
+    for (field, values, count, _) in fields {
+        check_length(field, values.len(), *count, stages)?;
     }
+    for (field, values, _, range) in fields {
+        let Some(i) = values.iter().position(|v| !range.contains(v)) else { continue };
+        let place = if values.len() > 1 { format!("{field}[{i}]") } else { (*field).to_owned() };
+        bail!("{place}: {} is not in {} to {}", values[i], range.start(), range.end());
+    }
+    Ok(())
+}
+
+/// Checks that a list has as many entries as it should.
+pub(crate) fn check_length(field: &str, got: usize, want: usize, stages: usize) -> Result<()> {
+    if got != want {
+        bail!("{field}: expected {want} entries for {stages} encoder stages, got {got}");
+    }
+    Ok(())
 }
 
 /// Checks pooling factors of space-filling curves, and the largest drop rate.
@@ -92,23 +110,60 @@ pub(crate) fn falling_drop_rates(depths: &[usize], high: f64) -> Vec<Vec<f64>> {
     rates
 }
 
+/// Shapes of all blocks, made of the number of the stage, the number of the block in it, and its drop rate.
+pub(crate) fn each_block<T>(
+    rates: &[Vec<f64>],
+    block: impl Fn(usize, usize, f64) -> T,
+) -> Vec<Vec<T>> {
+    let stage = |(stage, rates): (usize, &Vec<f64>)| {
+        rates.iter().enumerate().map(|(i, &rate)| block(stage, i, rate)).collect()
+    };
+    rates.iter().enumerate().map(stage).collect()
+}
+
 /// The largest width, count or size that a network may have: a file may come from anybody, and this is
 /// far beyond any network that is known.
 pub(crate) const LARGEST: usize = 1 << 14;
 
-/// Fields with their values, the least and the most that each may be.
-pub(crate) type Sizes<'a> = [(&'a str, &'a [usize], usize, usize)];
-
-/// Checks that sizes are neither too small nor absurd.
-pub(crate) fn check_sizes(sizes: &Sizes<'_>) -> Result<()> {
-    for (field, values, least, most) in sizes {
-        let bad = values.iter().enumerate().find(|(_, v)| !(least..=most).contains(v));
-        let Some((i, value)) = bad else { continue };
-        let place = if values.len() > 1 { format!("{field}[{i}]") } else { (*field).to_owned() };
-        bail!("{place}: {value} is not in {least} to {most}");
-    }
-    Ok(())
-}
-
 /// Most blocks of a stage.
 pub(crate) const DEEPEST: usize = 256;
+
+/// The weight of the first layer of a network of voxels.
+pub(crate) const STEM: &str = "embedding.stem.conv.weight";
+
+/// How many inputs the first layer of a checkpoint has, if it has one.
+pub(crate) fn stem_inputs(shapes: &Shapes) -> Option<usize> {
+    match shapes.get(STEM)?.as_slice() {
+        [_, _, _, _, inputs] => Some(*inputs),
+        _ => None,
+    }
+}
+
+/// Whether a checkpoint has a tensor of this name and shape.
+pub(crate) fn has(shapes: &Shapes, name: &str, shape: &[usize]) -> bool {
+    shapes.get(name).is_some_and(|s| s == shape)
+}
+
+/// Whether the first layer, the pooling and the unpooling of a checkpoint are those of scales with these channels,
+/// those of the encoder and of the decoder, and there are no more; and its blocks, as `blocks` says of a half
+/// (`"enc"` or `"dec"`) and the number of a stage.
+pub(crate) fn has_scales(
+    shapes: &Shapes,
+    inputs: usize,
+    [enc, dec]: [&[usize]; 2],
+    blocks: impl Fn(&str, usize) -> bool,
+) -> bool {
+    let down = |s: usize| format!("enc.enc{s}.down.proj.weight");
+    let up = |s: usize, part: &str| format!("dec.dec{s}.up.{part}.0.weight");
+    let below = |s: usize| dec.get(s + 1).or(enc.last()).copied().unwrap_or(0);
+    let encoder = (0..enc.len())
+        .all(|s| blocks("enc", s) && (s == 0 || has(shapes, &down(s), &[enc[s], enc[s - 1]])));
+    let decoder = (0..dec.len()).all(|s| {
+        blocks("dec", s)
+            && has(shapes, &up(s, "proj_skip"), &[dec[s], enc[s]])
+            && has(shapes, &up(s, "proj"), &[dec[s], below(s)])
+    });
+    let more =
+        shapes.contains_key(&down(enc.len())) || shapes.contains_key(&up(dec.len(), "proj_skip"));
+    has(shapes, STEM, &[enc[0], 5, 5, 5, inputs]) && encoder && decoder && !more
+}

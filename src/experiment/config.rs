@@ -6,6 +6,7 @@ use super::error::{ExperimentError, Place};
 use crate::NetworkConfig;
 use scenesplat_datasets::transforms::{self, LimitLabels, TransformConfig};
 use scenesplat_datasets::{InputFeatures, LoaderSettings, MixRule, SourceConfig};
+use scenesplat_kernels::settings;
 use scenesplat_losses::LossConfig;
 use scenesplat_models::{Compute, ModelConfig};
 use scenesplat_trainers::tasks::autoencoder::AutoencoderConfig;
@@ -216,33 +217,21 @@ fn background() -> Vec<String> {
     ["wall", "floor", "ceiling"].map(str::to_owned).to_vec()
 }
 
-/// AdamW over groups of parameters.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields, default)]
-pub struct OptimizerConfig {
-    /// Largest learning rate of parameters that no group claims.
-    pub lr: f64,
-    /// Decay per unit of learning rate, of all parameters.
-    pub weight_decay: f64,
-    /// Parameters with a rate of their own, by part of their name.
-    pub groups: Vec<KeywordGroup>,
-    /// Decay that varies over the run, in the place of `weight_decay`: `{ warmup = 0.0, warmup_from =
-    /// 0.04, from = 0.04, to = 0.4 }`.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    pub weight_decay_schedule: Option<CosineSchedule>,
-    /// Moments.
-    pub adamw: AdamWConfig,
-}
-
-impl Default for OptimizerConfig {
-    fn default() -> Self {
-        Self {
-            lr: 0.006,
-            weight_decay: 0.05,
-            groups: vec![KeywordGroup { keyword: "block".to_owned(), lr: 0.0006 }],
-            weight_decay_schedule: None,
-            adamw: AdamWConfig::default(),
-        }
+settings! {
+    /// AdamW over groups of parameters.
+    pub struct OptimizerConfig {
+        /// Largest learning rate of parameters that no group claims.
+        pub lr: f64 = 0.006,
+        /// Decay per unit of learning rate, of all parameters.
+        pub weight_decay: f64 = 0.05,
+        /// Parameters with a rate of their own, by part of their name.
+        pub groups: Vec<KeywordGroup> = vec![KeywordGroup { keyword: "block".to_owned(), lr: 0.0006 }],
+        /// Decay that varies over the run, in the place of `weight_decay`: `{ warmup = 0.0, warmup_from =
+        /// 0.04, from = 0.04, to = 0.4 }`.
+        #[serde(skip_serializing_if = "Option::is_none")]
+        pub weight_decay_schedule: Option<CosineSchedule> = None,
+        /// Moments.
+        pub adamw: AdamWConfig = AdamWConfig::default(),
     }
 }
 

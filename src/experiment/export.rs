@@ -26,12 +26,13 @@ pub fn export_model(
     folder: &Path,
 ) -> Result<Vec<String>, ExperimentError> {
     let (dir, remark) = exported_checkpoint(checkpoints)?;
-    let tensors = read_network(&dir)?;
-    let averaged = dir.join("average.safetensors").is_file();
-    let tensors = tensors.into_iter().collect();
-    write_model(&tensors, config, folder)?;
-    let averaged = if averaged { ", averaged parameters" } else { "" };
-    Ok(vec![format!("model: {remark}{averaged}")])
+    write_model(&read_network(&dir)?.into_iter().collect(), config, folder)?;
+    Ok(vec![format!("model: {remark}{}", averaged(&dir))])
+}
+
+/// What is said of a checkpoint that has an average.
+fn averaged(dir: &Path) -> &'static str {
+    if dir.join("average.safetensors").is_file() { ", averaged parameters" } else { "" }
 }
 
 /// The checkpoint that becomes the model (the best, or the newest if none is marked), and which it is.
@@ -63,9 +64,9 @@ pub fn export_self_supervised(
 ) -> Result<Vec<String>, ExperimentError> {
     let (dir, remark) = exported_checkpoint(checkpoints)?;
     let mut config = config.clone();
-    let (tensors, who) = match which {
-        Export::Student => (read_network(&dir)?, "student"),
-        Export::Teacher => (read_store(&dir, "teacher")?, "teacher"),
+    let (tensors, who, averaged) = match which {
+        Export::Student => (read_network(&dir)?, "student", averaged(&dir)),
+        Export::Teacher => (read_store(&dir, "teacher")?, "teacher", ""),
     };
     if let (Export::Teacher, BackboneConfig::PointTransformerV3(backbone)) =
         (which, &mut config.model.backbone)
@@ -74,8 +75,6 @@ pub fn export_self_supervised(
     }
     let tensors = tensors.into_iter().filter(|(name, _)| !is_head(name)).collect();
     write_model(&tensors, &config, folder)?;
-    let averaged = which == Export::Student && dir.join("average.safetensors").is_file();
-    let averaged = if averaged { ", averaged parameters" } else { "" };
     Ok(vec![format!("model: {remark}, the {who}{averaged}")])
 }
 

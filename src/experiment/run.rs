@@ -1,7 +1,9 @@
 //! From an experiment's file to a trained network.
 
 use super::compression;
-use super::config::{ExperimentConfig, OptimizerConfig, ScheduleConfig, TargetChoice, Task};
+use super::config::{
+    EvaluationConfig, ExperimentConfig, OptimizerConfig, ScheduleConfig, TargetChoice, Task,
+};
 use super::curves::{write_curves, write_curves_page};
 use super::data;
 use super::error::{ExperimentError, Place};
@@ -13,7 +15,7 @@ use super::record::{RunRecord, write};
 use super::teacher::{Teacher, TeacherRecord};
 use crate::NetworkConfig;
 use candle_core::Device;
-use scenesplat_datasets::TrainBatch;
+use scenesplat_datasets::{Dataset, TrainBatch};
 use scenesplat_losses::{Objective, TextColumns, build_objective};
 use scenesplat_models::weights::{SourceOptions, WeightSource, resolve};
 use scenesplat_models::{LoadPolicy, ParamStore};
@@ -23,7 +25,7 @@ use scenesplat_trainers::callbacks::{
 };
 use scenesplat_trainers::checkpoint::newest_checkpoint;
 use scenesplat_trainers::evaluators::{
-    DistillationEvaluator, SegmentationEvaluator, ZeroShotEvaluator,
+    DistillationEvaluator, SceneEvaluator, SegmentationEvaluator, ZeroShotEvaluator,
 };
 use scenesplat_trainers::tasks::self_supervised::SelfSupervised;
 use scenesplat_trainers::tasks::{
@@ -107,14 +109,7 @@ pub fn train_together(
         false => None,
     };
     let checkpoints = options.out.join("checkpoints");
-    let newest = newest_checkpoint(&checkpoints)?;
-    match (options.resume, &newest) {
-        (false, Some(_)) => {
-            return Err(ExperimentError::HoldsRun { path: options.out.clone() });
-        }
-        (true, None) => return Err(ExperimentError::NothingToResume { path: checkpoints }),
-        _ => {}
-    }
+    let newest = to_resume(options, &checkpoints)?;
     let measured = with_measured_effects(config)?;
     let config = &*measured;
     let text = config.text.as_ref().map(data::text_table).transpose()?;
@@ -156,6 +151,16 @@ pub fn train_together(
     remarks.extend(more);
     remarks.extend(teacher.and_then(|teacher| teacher.record.remark()));
     Ok(RunReport { progress, model, curves, remarks })
+}
+
+/// The checkpoint that the run goes on from.
+fn to_resume(options: &RunOptions, checkpoints: &Path) -> Result<Option<PathBuf>> {
+    let newest = newest_checkpoint(checkpoints)?;
+    match (options.resume, &newest) {
+        (false, Some(_)) => Err(ExperimentError::HoldsRun { path: options.out.clone() }),
+        (true, None) => Err(ExperimentError::NothingToResume { path: checkpoints.to_owned() }),
+        _ => Ok(newest),
+    }
 }
 
 /// Draws what was logged into a picture and a page beside it.
@@ -211,42 +216,46 @@ fn zero_shot(
     text: Option<&data::ClassTexts>,
     teacher: Option<&Teacher>,
 ) -> Result<Vec<ZeroShotEvaluator>> {
-    let mut all = Vec::new();
-    for entry in &config.evaluate {
-        let own = entry.text.as_ref().map(data::text_table).transpose()?;
-        let text = own.as_ref().or(text);
-        let text =
-            text.ok_or_else(|| ExperimentError::setting("text", "zero-shot evaluation needs it"))?;
-        let excluded = data::excluded(&entry.source, Some(text))?;
-        let table = text.table.clone();
-        let data = data::evaluation(entry, config, teacher)?;
-        let evaluator =
-            ZeroShotEvaluator::new(&entry.name, data, config.input.clone(), table, excluded);
-        all.push(match entry.vote_k {
-            Some(k) => evaluator.with_vote(k),
-            None => evaluator,
-        });
-    }
-    Ok(all)
+    evaluators(config, text, teacher, |name, data, text, excluded| {
+        let none = || ExperimentError::setting("text", "zero-shot evaluation needs it");
+        let (table, input) = (text.ok_or_else(none)?.table.clone(), config.input.clone());
+        Ok(ZeroShotEvaluator::new(name, data, input, table, excluded))
+    })
 }
 
 fn segmentation(
     config: &ExperimentConfig,
     text: Option<&data::ClassTexts>,
 ) -> Result<Vec<SegmentationEvaluator>> {
-    let mut all = Vec::new();
-    for entry in &config.evaluate {
+    evaluators(config, text, None, |name, data, _, excluded| {
+        Ok(SegmentationEvaluator::new(name, data, config.input.clone(), excluded))
+    })
+}
+
+/// The evaluators of the experiment's scenes, each made of its name, its data, its texts, and the classes that do
+/// not count.
+fn evaluators<L>(
+    config: &ExperimentConfig,
+    text: Option<&data::ClassTexts>,
+    teacher: Option<&Teacher>,
+    new: impl Fn(
+        &str,
+        Arc<dyn Dataset>,
+        Option<&data::ClassTexts>,
+        Vec<usize>,
+    ) -> Result<SceneEvaluator<L>>,
+) -> Result<Vec<SceneEvaluator<L>>> {
+    let evaluator = |entry: &EvaluationConfig| {
         let own = entry.text.as_ref().map(data::text_table).transpose()?;
-        let data = data::evaluation(entry, config, None)?;
-        let excluded = data::excluded(&entry.source, own.as_ref().or(text))?;
-        let evaluator =
-            SegmentationEvaluator::new(&entry.name, data, config.input.clone(), excluded);
-        all.push(match entry.vote_k {
-            Some(k) => evaluator.with_vote(k),
-            None => evaluator,
-        });
-    }
-    Ok(all)
+        let text = own.as_ref().or(text);
+        let excluded = data::excluded(&entry.source, text)?;
+        let found = new(&entry.name, data::evaluation(entry, config, teacher)?, text, excluded)?;
+        Ok(match entry.vote_k {
+            Some(k) => found.with_vote(k),
+            None => found,
+        })
+    };
+    config.evaluate.iter().map(evaluator).collect()
 }
 
 /// What `fit` needs of a run, whatever its task.

@@ -28,7 +28,9 @@ pub(crate) use unit::{guess_unit, is_surely_no_metre, may_be_no_metre, usual_spa
 
 use crate::NetworkConfig;
 use crate::datasets::effects::profile::{EffectProfile, profile};
+use content::TooWide;
 use findings::Findings;
+use neighbourhood::Neighbourhood;
 use scenesplat_kernels::simd::Isa;
 pub use scenesplat_scene::{Bounds, UpEvidence, UpGuess};
 use scenesplat_scene::{LoadedScene, UpAxis, guess_up_within, raw_bounds, robust_bounds};
@@ -152,25 +154,12 @@ pub fn inspect(loaded: &LoadedScene, settings: &InspectSettings) -> Inspection {
 
     let metres = unit.as_ref().map_or(1.0, |guess| guess.unit.metres());
     let effects = profile(scene, metres);
-    let mut findings = Findings::of_reading(loaded);
-    checks::check_positions(&mut findings, scene, &bounds, &robust, too_wide.as_ref());
-    checks::check_outliers(&mut findings, scene, &robust);
-    checks::check_up(&mut findings, scene.len(), &up);
-    checks::check_unit(&mut findings, scene.len(), unit.as_ref(), &robust);
-    checks::check_sizes(&mut findings, scene, &robust);
-    checks::check_isolated(&mut findings, scene, &near);
-    checks::check_duplicates(&mut findings, &duplicates::find_duplicates(scene), scene.len());
-    checks::check_opacity(&mut findings, scene, &opacity);
-    checks::check_harmonics(&mut findings, scene, sh_degree_used);
     let estimate =
         settings.network.as_ref().zip(voxels.as_ref()).map(|((name, config), voxels)| {
             let threads = rayon::current_num_threads();
             estimate(scene, voxels.count, name, config, threads, Isa::current())
         });
-    checks::check_memory(&mut findings, estimate.as_ref(), settings.machine_bytes);
-    let (findings, notes) = findings.split();
-
-    Inspection {
+    let mut seen = Inspection {
         path: loaded.path.display().to_string(),
         format: if settings.from_points { "points" } else { loaded.kind.name() },
         gaussians: loaded.source_rows(),
@@ -194,8 +183,34 @@ pub fn inspect(loaded: &LoadedScene, settings: &InspectSettings) -> Inspection {
         labels: content::labels(scene),
         language_codes: content::language_codes(scene),
         effects,
-        findings,
-        notes,
+        findings: Vec::new(),
+        notes: Vec::new(),
         estimate,
-    }
+    };
+    let mut findings = findings(loaded, &seen, &near, too_wide.as_ref());
+    checks::check_memory(&mut findings, seen.estimate.as_ref(), settings.machine_bytes);
+    (seen.findings, seen.notes) = findings.split();
+    seen
+}
+
+/// What the checks of the scene find.
+fn findings<'a>(
+    loaded: &'a LoadedScene,
+    seen: &Inspection,
+    near: &Neighbourhood,
+    too_wide: Option<&TooWide>,
+) -> Findings<'a> {
+    let scene = &loaded.scene;
+    let (rows, robust) = (scene.len(), &seen.robust_bounds);
+    let mut findings = Findings::of_reading(loaded);
+    checks::check_positions(&mut findings, scene, &seen.bounds, robust, too_wide);
+    checks::check_outliers(&mut findings, scene, robust);
+    checks::check_up(&mut findings, rows, &seen.up);
+    checks::check_unit(&mut findings, rows, seen.unit.as_ref(), robust);
+    checks::check_sizes(&mut findings, scene, robust);
+    checks::check_isolated(&mut findings, scene, near);
+    checks::check_duplicates(&mut findings, &duplicates::find_duplicates(scene), rows);
+    checks::check_opacity(&mut findings, scene, &seen.opacity);
+    checks::check_harmonics(&mut findings, scene, seen.sh_degree_used);
+    findings
 }

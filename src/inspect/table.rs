@@ -1,7 +1,7 @@
 //! An inspection as lines of text.
 
 use super::unit::short;
-use super::{Distribution, Finding, Inspection, Quantiles};
+use super::{Distribution, Estimate, Finding, Inspection, Quantiles, UnitGuess};
 use crate::memory::Bytes;
 use std::fmt;
 
@@ -11,82 +11,68 @@ const LINE: usize = 96;
 impl Inspection {
     /// The figures, one line each: what it is and its value.
     pub(super) fn figures(&self) -> Vec<(&'static str, String)> {
-        let mut rows = Vec::new();
         let left_out = match self.dropped {
             0 => String::new(),
             n => format!(", {} left out", thousands(n)),
         };
-        rows.push((
-            "Gaussians",
-            format!("{} ({}){left_out}", thousands(self.gaussians), self.format),
-        ));
-        rows.push(("extent", format!("{} m", sides(self.extent))));
-        if self.bounds != self.robust_bounds {
-            rows.push(("all of it", format!("{} m", sides(self.bounds.extent()))));
-        }
-        rows.push(("centre", {
-            let b = self.robust_bounds;
-            [0, 1, 2].map(|a| short((b.low[a] + b.high[a]) / 2.0)).join(", ")
-        }));
-        if let Some(unit) = &self.unit {
-            rows.push(("unit", format!("{}, {}", unit.unit.symbol(), sure(unit.confidence))));
-        }
+        let of_all = (self.bounds != self.robust_bounds).then(|| self.bounds.extent());
+        let b = self.robust_bounds;
+        let centre = [0, 1, 2].map(|a| short((b.low[a] + b.high[a]) / 2.0)).join(", ");
+        let unit = |u: &UnitGuess| format!("{}, {}", u.unit.symbol(), sure(u.confidence));
         let up = &self.up;
         let how = if up.given { "as given".to_owned() } else { sure(up.confidence) };
-        rows.push(("up", format!("{}, {how}", up.axis.name())));
-        if let Some(spacing) = self.spacing {
-            rows.push(("spacing", format!("{} m to the 4th neighbour", short(spacing))));
-        }
-        rows.push(("scale", five(&self.largest_scale, " m")));
-        rows.push(("anisotropy", five(&self.anisotropy, "")));
-        rows.push(("opacity", five(&self.opacity, "")));
-        rows.push((
-            "harmonics",
-            match (self.sh_degree, self.sh_degree_used) {
-                (declared, used) if declared == used => format!("degree {declared}"),
-                (declared, used) => format!("degree {declared} declared, {used} used"),
-            },
-        ));
-        let mut more = Vec::new();
-        if self.has_normals {
-            more.push("normals".to_owned());
-        }
-        if let Some(labels) = &self.labels {
-            more.push(format!("{} classes, {} instances", labels.classes, labels.instances));
-        }
-        if let Some(codes) = &self.language_codes {
-            more.push(format!("language codes of {} values", codes.width));
-        }
-        if !more.is_empty() {
-            rows.push(("also", more.join("; ")));
-        }
-        match &self.voxels {
-            Some(v) => rows.push((
-                "voxels",
-                format!(
-                    "{} of {} cm, {:.2} Gaussians each, at most {}",
-                    thousands(v.count),
-                    (v.size * 1e5).round() / 1e3,
-                    v.mean,
-                    thousands(v.largest)
-                ),
-            )),
-            None => rows.push(("voxels", "the scene does not fit on the grid".to_owned())),
-        }
-        if let Some(e) = &self.estimate {
-            let [low, high] = e.seconds_range.map(duration);
-            rows.push((
-                "cost",
-                format!(
-                    "segment with the {} network: {low} to {high} on {} threads, {}",
-                    e.network,
-                    e.threads,
-                    Bytes(e.bytes)
-                ),
-            ));
-        }
-        rows
+        let harmonics = match (self.sh_degree, self.sh_degree_used) {
+            (declared, used) if declared == used => format!("degree {declared}"),
+            (declared, used) => format!("degree {declared} declared, {used} used"),
+        };
+        let gaussians = format!("{} ({}){left_out}", thousands(self.gaussians), self.format);
+        let rows = [
+            ("Gaussians", Some(gaussians)),
+            ("extent", Some(format!("{} m", sides(self.extent)))),
+            ("all of it", of_all.map(|extent| format!("{} m", sides(extent)))),
+            ("centre", Some(centre)),
+            ("unit", self.unit.as_ref().map(unit)),
+            ("up", Some(format!("{}, {how}", up.axis.name()))),
+            ("spacing", self.spacing.map(|s| format!("{} m to the 4th neighbour", short(s)))),
+            ("scale", Some(five(&self.largest_scale, " m"))),
+            ("anisotropy", Some(five(&self.anisotropy, ""))),
+            ("opacity", Some(five(&self.opacity, ""))),
+            ("harmonics", Some(harmonics)),
+            ("also", self.more()),
+            ("voxels", Some(self.voxel_figures())),
+            ("cost", self.estimate.as_ref().map(cost)),
+        ];
+        rows.into_iter().filter_map(|(what, value)| Some((what, value?))).collect()
     }
+
+    /// What the scene has besides Gaussians.
+    fn more(&self) -> Option<String> {
+        let labels = self.labels.as_ref();
+        let labels = labels.map(|l| format!("{} classes, {} instances", l.classes, l.instances));
+        let codes = self.language_codes.as_ref();
+        let codes = codes.map(|codes| format!("language codes of {} values", codes.width));
+        let normals = self.has_normals.then(|| "normals".to_owned());
+        let all: Vec<String> = [normals, labels, codes].into_iter().flatten().collect();
+        (!all.is_empty()).then(|| all.join("; "))
+    }
+
+    fn voxel_figures(&self) -> String {
+        let Some(v) = &self.voxels else { return "the scene does not fit on the grid".to_owned() };
+        format!(
+            "{} of {} cm, {:.2} Gaussians each, at most {}",
+            thousands(v.count),
+            (v.size * 1e5).round() / 1e3,
+            v.mean,
+            thousands(v.largest)
+        )
+    }
+}
+
+fn cost(estimate: &Estimate) -> String {
+    let [low, high] = estimate.seconds_range.map(duration);
+    let Estimate { network, threads, bytes, .. } = estimate;
+    let bytes = Bytes(*bytes);
+    format!("segment with the {network} network: {low} to {high} on {threads} threads, {bytes}")
 }
 
 impl fmt::Display for Inspection {

@@ -27,6 +27,17 @@ const LABEL_GROUND: [u8; 3] = [38, 40, 47];
 /// What is lower, metres, is no room, and is not cut open even if its sides are closed.
 const LOWEST_ROOM: f64 = 1.8;
 
+impl Viewpoint {
+    /// Its name, and the axes of its picture: to the right, down, forward.
+    fn about(self) -> (&'static str, [[f64; 3]; 3]) {
+        match self {
+            Self::Front => ("front", [[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]]),
+            Self::Right => ("side", [[0.0, 1.0, 0.0], [0.0, 0.0, -1.0], [-1.0, 0.0, 0.0]]),
+            Self::Above => ("from above", [[1.0, 0.0, 0.0], [0.0, -1.0, 0.0], [0.0, 0.0, -1.0]]),
+        }
+    }
+}
+
 /// Discs of a scene, ready for views.
 pub(crate) struct LevelViews {
     discs: Vec<Disc>,
@@ -83,11 +94,7 @@ impl LevelViews {
             .copied()
             .filter(|d| (0..3).all(|a| (low[a]..=high[a]).contains(&f64::from(d.centre[a]))))
             .collect();
-        let axes = match from {
-            Viewpoint::Front => [[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]],
-            Viewpoint::Right => [[0.0, 1.0, 0.0], [0.0, 0.0, -1.0], [-1.0, 0.0, 0.0]],
-            Viewpoint::Above => [[1.0, 0.0, 0.0], [0.0, -1.0, 0.0], [0.0, 0.0, -1.0]],
-        };
+        let (name, axes) = from.about();
         let size = (0..3).map(|a| high[a] - low[a]).fold(0.0, f64::max);
         let middle = [0, 1, 2].map(|a| (self.low[a] + self.high[a]) / 2.0);
         let lens = Lens {
@@ -103,11 +110,6 @@ impl LevelViews {
         // What is drawn reaches under bar, axes and name; they stand on a ground of their own.
         super::fill(picture, [left, top + view - 36], [view / 4 + 20, 36], LABEL_GROUND);
         draw_scale_bar(picture, &lens, [left, top], view);
-        let name = match from {
-            Viewpoint::Front => "front",
-            Viewpoint::Right => "side",
-            Viewpoint::Above => "from above",
-        };
         let note = if is_cut { format!("{name}, cut open") } else { name.to_owned() };
         super::fill(picture, [left, top], [text::width(&note, 1) + 16, 22], LABEL_GROUND);
         text::draw(picture, left + 8, top + 8, 1, FAINT_INK, &note, view);

@@ -231,18 +231,11 @@ mod tests {
 
     #[test]
     fn the_encoder_and_its_statistics_stay_as_they_are() {
-        let backbone = PointTransformerV3Config {
-            stride: vec![2],
-            enc_depths: vec![1, 1],
-            enc_channels: vec![8, 16],
-            enc_num_head: vec![1, 2],
-            enc_patch_size: vec![32, 32],
-            dec_depths: vec![1],
-            dec_channels: vec![8],
-            dec_num_head: vec![1],
-            dec_patch_size: vec![32],
-            ..PointTransformerV3Config::language()
-        };
+        let backbone = PointTransformerV3Config::language().with_stages(
+            &[[1, 8, 1], [1, 16, 2]],
+            &[[1, 8, 1]],
+            32,
+        );
         let model = ModelConfig { grid_size: 0.25, ..ModelConfig::new(backbone) };
         let config = NetworkConfig { model, ..NetworkConfig::language() };
         let room = SyntheticRoomSettings { num_gaussians: Some(600), ..Default::default() };

@@ -22,7 +22,7 @@ pub use scenes::ProbeScenes;
 use crate::network::{Network, NetworkConfig, WeightOptions, Weights, config_beside};
 use classifier::Classifier;
 use decoder::EncoderValues;
-use rows::{Objects, choose, objects};
+use rows::{Learned, Objects, choose, objects};
 use scenesplat_metrics::{ConfusionMatrix, Metric, TesterReport};
 use scenesplat_models::ParamStore;
 use serde::Serialize;
@@ -104,13 +104,13 @@ pub fn probe(
         Network::load(config.clone(), &Weights::File(model.to_owned()), WeightOptions::default())?;
     let random = random_network(&config, settings.seed)?;
     let sources = [
-        ("backbone", RowSource::Network(network.model())),
-        ("random", RowSource::Network(random.as_ref())),
-        ("raw_inputs", RowSource::Inputs),
+        ("backbone", RowSource::Network(network.model()), Some(EncoderValues::File(model))),
+        ("random", RowSource::Network(random.as_ref()), Some(EncoderValues::Random)),
+        ("raw_inputs", RowSource::Inputs, None),
     ];
     let (train, test) = scenes.split()?;
     let mut report = None;
-    for (name, source) in sources {
+    for (name, source, values) in sources {
         let mut tell = |text: String| if say(&text) { Ok(()) } else { Err(ProbeError::Stopped) };
         tell(format!("{name}: rows of {} scenes", train.len() + test.len()))?;
         let began = Instant::now();
@@ -119,11 +119,6 @@ pub fn probe(
         let classes = classes_of(train_rows.iter().chain(&test_rows))?;
         let learned = choose(&train_rows, settings.labels, settings.seed)?;
         tell(format!("{name}: {} rows are learned from", learned.labels.len()))?;
-        let values = match name {
-            "backbone" => Some(EncoderValues::File(model)),
-            "random" => Some(EncoderValues::Random),
-            _ => None,
-        };
         let (answer, of_training) = match values.filter(|_| settings.kind == ProbeKind::Decoder) {
             Some(values) => {
                 let decoder = decoder::train(&config, values, &train_rows, classes, settings)?;
@@ -141,18 +136,7 @@ pub fn probe(
         let objects = objects.transpose()?.flatten();
         let result = result(&answer.tester_report(), of_training, began, objects);
         let report = report.get_or_insert_with(|| {
-            let names = |scenes: &[ProbeScene]| scenes.iter().map(|s| s.id.clone()).collect();
-            ProbeReport {
-                settings: settings.clone(),
-                classes,
-                train_scenes: names(&train_rows),
-                test_scenes: names(&test_rows),
-                labelled_rows: train_rows.iter().map(ProbeScene::num_labelled).sum(),
-                learned_rows: learned.labels.len(),
-                backbone: result.clone(),
-                random: result.clone(),
-                raw_inputs: result.clone(),
-            }
+            first_report(settings, classes, (&train_rows, &test_rows), &learned, &result)
         });
         match name {
             "random" => report.random = result,
@@ -161,6 +145,28 @@ pub fn probe(
         }
     }
     report.ok_or(ProbeError::NoLabels)
+}
+
+/// A report with the same result for all sources.
+fn first_report(
+    settings: &ProbeSettings,
+    classes: usize,
+    (train, test): (&[ProbeScene], &[ProbeScene]),
+    learned: &Learned,
+    result: &ProbeResult,
+) -> ProbeReport {
+    let names = |scenes: &[ProbeScene]| scenes.iter().map(|s| s.id.clone()).collect();
+    ProbeReport {
+        settings: settings.clone(),
+        classes,
+        train_scenes: names(train),
+        test_scenes: names(test),
+        labelled_rows: train.iter().map(ProbeScene::num_labelled).sum(),
+        learned_rows: learned.labels.len(),
+        backbone: result.clone(),
+        random: result.clone(),
+        raw_inputs: result.clone(),
+    }
 }
 
 /// The architecture with first values, as training would begin with them.

@@ -150,7 +150,7 @@ fn the_teacher_is_the_network_in_evaluation_mode_at_its_own_voxels() {
 }
 
 #[test]
-fn neither_workers_nor_interruptions_nor_caches_change_a_bit() {
+fn neither_workers_nor_interruptions_change_a_bit() {
     let folder = folder();
     let plain = weights(folder.path(), &EXPERIMENT, "plain");
     for workers in [0, 3] {
@@ -166,7 +166,11 @@ fn neither_workers_nor_interruptions_nor_caches_change_a_bit() {
         let files: Vec<_> = std::fs::read_dir(&dir).into_iter().flatten().flatten().collect();
         assert!(files.iter().all(|f| !f.file_name().to_string_lossy().contains("teacher")));
     }
+}
 
+#[test]
+fn caches_change_no_bit() {
+    let folder = folder();
     let cached = EXPERIMENT.replacen("[model]", CACHED, 1);
     let uncached = EXPERIMENT.replacen("[model]", "view = \"scene\"\n[model]", 1);
     let plain = weights(folder.path(), &uncached, "uncached");
@@ -244,13 +248,17 @@ fn a_run_goes_on_with_its_own_teacher_only() {
     assert!(error.contains("teacher.content"), "{error}");
 }
 
-#[test]
-fn a_teacher_can_be_stored_features() {
-    let folder = folder();
-    let stored = EXPERIMENT.replace(
+/// The experiment with features in files for its teacher.
+fn stored() -> String {
+    EXPERIMENT.replace(
         "type = \"network\"\nweights = \"seeded:3\"\nconfig = \"teacher.json\"",
         "type = \"features\"\nfolder = \"stored\"",
-    );
+    )
+}
+
+#[test]
+fn a_teacher_can_be_stored_features() {
+    let (folder, stored) = (folder(), stored());
     let error = start(folder.path(), &stored, "none", false, false).unwrap_err();
     assert!(error.contains("room-000000") && error.contains("features.npy"), "{error}");
     let write = |id: &str, rows: usize, width: usize, factor: f32| {
@@ -289,9 +297,12 @@ fn a_teacher_can_be_stored_features() {
     write("room-000001", sizes[0], 64, f32::INFINITY);
     let error = start(folder.path(), &stored, "infinite", false, false).unwrap_err();
     assert!(error.contains("room-000001") && error.contains("in f16"), "{error}");
+}
 
-    // Features of the scenes themselves.
-    let own = stored.replace("folder = \"stored\"\n", "");
+#[test]
+fn a_teacher_can_be_the_features_of_the_scenes() {
+    let folder = folder();
+    let own = stored().replace("folder = \"stored\"\n", "");
     let error = start(folder.path(), &own, "own", false, false).unwrap_err();
     assert!(error.contains("lang_feat"), "{error}");
     let own = own.replace("seed = 1, ", "seed = 1, vocabulary = 64, ");

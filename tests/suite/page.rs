@@ -358,6 +358,17 @@ impl Drop for Running {
     }
 }
 
+/// The bytes that a page has as text, by their name.
+fn block(page: &str, name: &str) -> Option<Vec<u8>> {
+    let open = format!("id=\"block-{name}\">");
+    let from = page.find(&open).map(|at| at + open.len())?;
+    let text = &page[from..from + page[from..].find('<').unwrap()];
+    let packed = base64::Engine::decode(&base64::engine::general_purpose::STANDARD, text).unwrap();
+    let mut bytes = Vec::new();
+    flate2::read::ZlibDecoder::new(&packed[..]).read_to_end(&mut bytes).unwrap();
+    Some(bytes)
+}
+
 #[test]
 fn a_served_page_is_the_file_in_chunks() {
     let Folder(folder, _keep) = folder();
@@ -383,16 +394,6 @@ fn a_served_page_is_the_file_in_chunks() {
     let path = folder.join("served-beside.html");
     write_page(&path, &input, &settings).unwrap();
     let file = std::fs::read_to_string(path).unwrap();
-    let block = |page: &str, name: &str| {
-        let open = format!("id=\"block-{name}\">");
-        let from = page.find(&open).map(|at| at + open.len())?;
-        let text = &page[from..from + page[from..].find('<').unwrap()];
-        let packed =
-            base64::Engine::decode(&base64::engine::general_purpose::STANDARD, text).unwrap();
-        let mut bytes = Vec::new();
-        flate2::read::ZlibDecoder::new(&packed[..]).read_to_end(&mut bytes).unwrap();
-        Some(bytes)
-    };
     let about: serde_json::Value = serde_json::from_slice(&block(&page, "about").unwrap()).unwrap();
     let in_file: serde_json::Value =
         serde_json::from_slice(&block(&file, "about").unwrap()).unwrap();

@@ -2,123 +2,79 @@
 
 use crate::error::check_setting;
 use crate::{Criterion, TrainError};
-use serde::{Deserialize, Serialize};
+use scenesplat_kernels::settings;
 use std::path::PathBuf;
 
-/// Settings of the training loop. Data, model, loss and optimizer have their own.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields, default)]
-pub struct TrainerConfig {
-    /// Seed of all that is random inside a step.
-    pub seed: u64,
-    /// Passes over the data.
-    pub epochs: u64,
-    /// Batches whose gradients are averaged for one optimizer step, at least 1.
-    pub accumulate: u64,
-    /// Batch norms take the statistics of all batches of a step together, which then are as many as there are processes
-    /// (`accumulate`): each has one of them. Otherwise those of each batch.
-    // Not written where it is off: runs from before it was there go on.
-    #[serde(skip_serializing_if = "std::ops::Not::not")]
-    pub sync_batch_norm: bool,
-    /// Largest joint norm of the gradients; larger ones are scaled down. Off if absent.
-    pub clip_norm: Option<f64>,
-    /// Steps between two lines of the log, at least 1.
-    pub log_every: u64,
-    /// Epochs between two evaluations; 0 evaluates after the last one only.
-    pub eval_every: u64,
-    /// Computes the inside of blocks again in the backward pass instead of keeping it.
-    pub recompute: bool,
-    /// Decay of a moving average of the parameters, `0..1`; evaluations and exports then use the
-    /// average. Off if absent.
-    pub ema: Option<f64>,
-    /// Parameters and batch statistics that stay as they are: parts of names. Each part must be in
-    /// some name. A batch norm whose statistics are frozen normalises by them in training too.
-    pub freeze: Vec<String>,
-    /// Parameters that may go without gradient, such as a head whose term starts later: parts of
-    /// names.
-    pub idle: Vec<String>,
-    /// Largest share of the scenes that may be left out, and of their rows that may be dropped when
-    /// they are read; the run stops at the end of an epoch with more, `0..=1`.
-    pub max_left_out: f64,
-    /// Checkpoints.
-    pub checkpoint: CheckpointConfig,
-    /// Alarms about features and statistics that collapse.
-    pub health: HealthConfig,
-}
-
-impl Default for TrainerConfig {
-    fn default() -> Self {
-        Self {
-            seed: 0,
-            epochs: 1,
-            accumulate: 1,
-            sync_batch_norm: false,
-            clip_norm: None,
-            log_every: 10,
-            eval_every: 1,
-            recompute: false,
-            ema: None,
-            freeze: Vec::new(),
-            idle: Vec::new(),
-            max_left_out: 0.1,
-            checkpoint: CheckpointConfig::default(),
-            health: HealthConfig::default(),
-        }
+settings! {
+    /// Settings of the training loop. Data, model, loss and optimizer have their own.
+    pub struct TrainerConfig {
+        /// Seed of all that is random inside a step.
+        pub seed: u64 = 0,
+        /// Passes over the data.
+        pub epochs: u64 = 1,
+        /// Batches whose gradients are averaged for one optimizer step, at least 1.
+        pub accumulate: u64 = 1,
+        /// Batch norms take the statistics of all batches of a step together, which then are as many as there are processes
+        /// (`accumulate`): each has one of them. Otherwise those of each batch.
+        // Not written where it is off: runs from before it was there go on.
+        #[serde(skip_serializing_if = "std::ops::Not::not")]
+        pub sync_batch_norm: bool = false,
+        /// Largest joint norm of the gradients; larger ones are scaled down. Off if absent.
+        pub clip_norm: Option<f64> = None,
+        /// Steps between two lines of the log, at least 1.
+        pub log_every: u64 = 10,
+        /// Epochs between two evaluations; 0 evaluates after the last one only.
+        pub eval_every: u64 = 1,
+        /// Computes the inside of blocks again in the backward pass instead of keeping it.
+        pub recompute: bool = false,
+        /// Decay of a moving average of the parameters, `0..1`; evaluations and exports then use the
+        /// average. Off if absent.
+        pub ema: Option<f64> = None,
+        /// Parameters and batch statistics that stay as they are: parts of names. Each part must be in
+        /// some name. A batch norm whose statistics are frozen normalises by them in training too.
+        pub freeze: Vec<String> = Vec::new(),
+        /// Parameters that may go without gradient, such as a head whose term starts later: parts of
+        /// names.
+        pub idle: Vec<String> = Vec::new(),
+        /// Largest share of the scenes that may be left out, and of their rows that may be dropped when
+        /// they are read; the run stops at the end of an epoch with more, `0..=1`.
+        pub max_left_out: f64 = 0.1,
+        /// Checkpoints.
+        pub checkpoint: CheckpointConfig = CheckpointConfig::default(),
+        /// Alarms about features and statistics that collapse.
+        pub health: HealthConfig = HealthConfig::default(),
     }
-}
 
-/// When checkpoints are written and which stay.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields, default)]
-pub struct CheckpointConfig {
-    /// Folder of the checkpoints; none are written without it.
-    pub dir: Option<PathBuf>,
-    /// Steps between two; 0 writes at the end of epochs.
-    pub every_steps: u64,
-    /// How many of the last ones stay, at least 1; the best one stays besides.
-    pub keep: usize,
-    /// Measurement whose best value marks the best checkpoint, e.g. `zero_shot/f-mIoU`, or a list of
-    /// several whose mean does.
-    pub best: Option<Criterion>,
-    /// Whether a smaller value is better.
-    pub smaller_is_better: bool,
-}
-
-impl Default for CheckpointConfig {
-    fn default() -> Self {
-        Self { dir: None, every_steps: 0, keep: 1, best: None, smaller_is_better: false }
+    /// When checkpoints are written and which stay.
+    pub struct CheckpointConfig {
+        /// Folder of the checkpoints; none are written without it.
+        pub dir: Option<PathBuf> = None,
+        /// Steps between two; 0 writes at the end of epochs.
+        pub every_steps: u64 = 0,
+        /// How many of the last ones stay, at least 1; the best one stays besides.
+        pub keep: usize = 1,
+        /// Measurement whose best value marks the best checkpoint, e.g. `zero_shot/f-mIoU`, or a list of
+        /// several whose mean does.
+        pub best: Option<Criterion> = None,
+        /// Whether a smaller value is better.
+        pub smaller_is_better: bool = false,
     }
-}
 
-/// When features count as collapsed. Looked at on a seeded sample of the output rows.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields, default)]
-pub struct HealthConfig {
-    /// Steps between two looks; 0 never looks.
-    pub every_steps: u64,
-    /// Alarm if the effective rank of the features falls below this.
-    pub min_effective_rank: f64,
-    /// Alarm if the mean cosine between rows, their common mean taken off, rises above this.
-    pub max_centred_cosine: f64,
-    /// Alarm if a channel's running variance falls below this.
-    pub min_running_var: f64,
-    /// Alarm if a channel's running variance rises above this.
-    pub max_running_var: f64,
-    /// Looks in a row with an alarm about the features after which the run ends with an error; 0 only
-    /// raises alarms.
-    pub stop_after: u64,
-}
-
-impl Default for HealthConfig {
-    fn default() -> Self {
-        Self {
-            every_steps: 100,
-            min_effective_rank: 1.5,
-            max_centred_cosine: 0.9,
-            min_running_var: 1e-10,
-            max_running_var: 1e10,
-            stop_after: 0,
-        }
+    /// When features count as collapsed. Looked at on a seeded sample of the output rows.
+    pub struct HealthConfig {
+        /// Steps between two looks; 0 never looks.
+        pub every_steps: u64 = 100,
+        /// Alarm if the effective rank of the features falls below this.
+        pub min_effective_rank: f64 = 1.5,
+        /// Alarm if the mean cosine between rows, their common mean taken off, rises above this.
+        pub max_centred_cosine: f64 = 0.9,
+        /// Alarm if a channel's running variance falls below this.
+        pub min_running_var: f64 = 1e-10,
+        /// Alarm if a channel's running variance rises above this.
+        pub max_running_var: f64 = 1e10,
+        /// Looks in a row with an alarm about the features after which the run ends with an error; 0 only
+        /// raises alarms.
+        pub stop_after: u64 = 0,
     }
 }
 

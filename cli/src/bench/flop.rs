@@ -48,19 +48,9 @@ mod tests {
 
     #[test]
     fn one_voxel_by_hand() {
-        let config = PointTransformerV3Config {
-            in_channels: 3,
-            stride: vec![2],
-            enc_depths: vec![1, 2],
-            enc_channels: vec![4, 8],
-            enc_num_head: vec![1, 1],
-            enc_patch_size: vec![16, 16],
-            dec_depths: vec![1],
-            dec_channels: vec![6],
-            dec_num_head: vec![1],
-            dec_patch_size: vec![16],
-            ..PointTransformerV3Config::tiny()
-        };
+        let config =
+            PointTransformerV3Config { in_channels: 3, ..PointTransformerV3Config::tiny() }
+                .with_stages(&[[1, 4, 1], [2, 8, 1]], &[[1, 6, 1]], 16);
         let model = ModelConfig::new(config).with_classes(5);
         let found = count(&model, &[[0, 0, 0]], false).unwrap();
         assert_eq!(found.stem, 2 * 3 * 4);

@@ -18,6 +18,7 @@
 //! | [`eigenvectors`] | the directions along which rows differ most |
 //! | [`unit_rows`] | whether rows have unit length |
 //! | [`simd`] | instruction sets, and code compiled for each |
+//! | [`settings!`] | settings of the crates above, each default beside its field |
 //! | [`fallbacks`] | what was computed here for a device that has no kernel for it |
 //!
 //! Threads come from rayon's current pool. Row numbers are `u32` (a batch holds up to 2³² − 2
@@ -46,6 +47,7 @@ pub mod reference;
 pub mod segment;
 pub mod serialization;
 pub mod serialized_cloud;
+mod settings;
 mod shape;
 pub mod simd;
 pub mod sparse_conv;

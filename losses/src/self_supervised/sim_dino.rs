@@ -4,6 +4,7 @@ use super::coding_rate::half_log_det;
 use super::stored::{Views, check_teacher, stored_loss};
 use crate::error::{LossError, check_positive, check_setting};
 use candle_core::{Result, Tensor};
+use scenesplat_kernels::settings;
 use serde::{Deserialize, Serialize};
 
 const NAME: &str = "sim_dino";
@@ -23,28 +24,18 @@ pub enum Expansion {
     None,
 }
 
-/// Settings of [`sim_dino`]; defaults are the original's.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields, default)]
-pub struct SimDino {
-    /// Weight of the compression; 0.1.
-    pub coefficient: f64,
-    /// Distortion ε of the coding rate, above 0; 0.05.
-    pub epsilon: f64,
-    /// Whose vectors are kept apart.
-    pub expansion: Expansion,
-    /// Whether vectors come with unit length; false brings them to it here.
-    pub normalized: bool,
-}
-
-impl Default for SimDino {
-    fn default() -> Self {
-        Self {
-            coefficient: 0.1,
-            epsilon: 0.05,
-            expansion: Expansion::StudentAndTeacher,
-            normalized: true,
-        }
+settings! {
+    /// Settings of [`sim_dino`]; defaults are the original's.
+    #[derive(Copy)]
+    pub struct SimDino {
+        /// Weight of the compression; 0.1.
+        pub coefficient: f64 = 0.1,
+        /// Distortion ε of the coding rate, above 0; 0.05.
+        pub epsilon: f64 = 0.05,
+        /// Whose vectors are kept apart.
+        pub expansion: Expansion = Expansion::StudentAndTeacher,
+        /// Whether vectors come with unit length; false brings them to it here.
+        pub normalized: bool = true,
     }
 }
 

@@ -61,10 +61,6 @@ pub fn supervised() -> Vec<Case> {
     let weights = vec![0.5, 2.0, 1.0, 0.0, 0.25];
     let halves = split_classes(&label, Some(&valid), 3, 9).unwrap();
     assert_eq!(halves.len(), 3);
-    let texts: Vec<f32> = units(&noise(4 * WIDTH, 6), WIDTH).iter().map(|v| *v as f32).collect();
-    let columns = TextColumns::new(&texts, WIDTH).unwrap();
-    let texts: Vec<f64> = texts.into_iter().map(f64::from).collect();
-    let logits = |rows: &[f64], temperature| reference::logits(rows, &texts, WIDTH, temperature);
     let mut cases = Vec::new();
     let mut add = |name, want: f64, loss: LossFn| {
         let (shape, pred) = (vec![ROWS, WIDTH], pred.clone());
@@ -101,20 +97,37 @@ pub fn supervised() -> Vec<Case> {
     let want = reference::lovasz(&pred, WIDTH, &label);
     let labels = label.clone();
     add("lovasz", want, Box::new(move |p| lovasz_softmax(p, &labels)));
+    cases.extend(of_texts(&pred, &rows, &valid, &label));
+    cases
+}
+
+/// Losses that compare rows with texts.
+fn of_texts(pred: &[f64], rows: &[f64], valid: &[bool], label: &[i32]) -> Vec<Case> {
+    let target = matrix(rows, WIDTH, DType::F64);
+    let texts: Vec<f32> = units(&noise(4 * WIDTH, 6), WIDTH).iter().map(|v| *v as f32).collect();
+    let columns = TextColumns::new(&texts, WIDTH).unwrap();
+    let texts: Vec<f64> = texts.into_iter().map(f64::from).collect();
+    let logits = |rows: &[f64], temperature| reference::logits(rows, &texts, WIDTH, temperature);
+    let mut cases = Vec::new();
+    let mut add = |name, want: f64, loss: LossFn| {
+        let (shape, pred) = (vec![ROWS, WIDTH], pred.to_vec());
+        cases.push(Case { name, shape, pred, loss, want: Some(want) });
+    };
     for (name, lovasz) in [("text classification", 0.0), ("text classification, lovasz", 0.7)] {
-        let z = logits(&pred, 0.5);
-        let want = reference::cross_entropy(&z, 4, &label, 0.0, None)
-            + lovasz * reference::lovasz(&z, 4, &label);
+        let z = logits(pred, 0.5);
+        let want = reference::cross_entropy(&z, 4, label, 0.0, None)
+            + lovasz * reference::lovasz(&z, 4, label);
         let new = TextClassification::new(columns.clone());
-        let (label, loss) = (label.clone(), TextClassification { temperature: 0.5, lovasz, ..new });
+        let (label, loss) =
+            (label.to_vec(), TextClassification { temperature: 0.5, lovasz, ..new });
         let input = move |p: &Tensor| loss.forward(&labelled(p, &label));
         add(name, want, Box::new(input));
     }
     for (name, temperature) in [("text distillation", 1.0), ("text distillation, sharp", 0.3)] {
-        let (p, q) = (logits(&pred, temperature), logits(&rows, temperature));
-        let want = reference::divergence(&p, &q, 4, &valid);
+        let (p, q) = (logits(pred, temperature), logits(rows, temperature));
+        let want = reference::divergence(&p, &q, 4, valid);
         let loss = TextDistillation { temperature, ..TextDistillation::new(columns.clone()) };
-        let (target, valid) = (target.clone(), valid.clone());
+        let (target, valid) = (target.clone(), valid.to_vec());
         let input = move |p: &Tensor| {
             let (target, valid) = (Some(&target), Some(valid.as_slice()));
             loss.forward(&LossInput { target, valid, ..labelled(p, &[]) })

@@ -33,7 +33,7 @@ impl<A> AttentionMlp<A> {
             norm1: LayerNorm::new(channels, vb.pp("norm1.0"))?,
             attention,
             norm2: LayerNorm::new(channels, vb.pp("norm2.0"))?,
-            mlp: Mlp::with(compute, channels, mlp_ratio * channels, vb.pp("mlp.0"))?,
+            mlp: Mlp::new(compute, channels, mlp_ratio * channels, vb.pp("mlp.0"))?,
             drop_path: DropPath { rate: drop_path },
         })
     }

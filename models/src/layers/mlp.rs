@@ -17,15 +17,7 @@ impl Mlp {
     ///
     /// # Errors
     /// If the parameters exist with another shape.
-    pub fn new(channels: usize, hidden: usize, vb: VarBuilder<'_>) -> Result<Self> {
-        Self::with(Compute::default(), channels, hidden, vb)
-    }
-
-    /// [`Mlp::new`] with choices.
-    ///
-    /// # Errors
-    /// As [`Mlp::new`].
-    pub fn with(
+    pub fn new(
         compute: Compute,
         channels: usize,
         hidden: usize,

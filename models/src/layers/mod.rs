@@ -20,7 +20,7 @@ pub use drop_path::DropPath;
 pub use layer_norm::LayerNorm;
 pub use linear::Linear;
 pub use linear_norm::LinearNorm;
-pub(crate) use linear_norm_relu::{LinearNormRelu, batch_norm};
+pub(crate) use linear_norm_relu::{Encoding, LinearNormRelu, batch_norm};
 pub use mlp::Mlp;
 pub use residual_conv::ResidualConv;
 pub use sparse_conv::SparseConv;

@@ -29,19 +29,12 @@ enum Conv {
 }
 
 impl ResidualConv {
-    /// Parameters `0` (convolution), `1` (linear layer), `2` (norm).
+    /// Parameters `0` (convolution), `1` (linear layer), `2` (norm). With a rank it runs once it is
+    /// [`calibrated`](Self::calibrated).
     ///
     /// # Errors
-    /// If parameters exist with another shape.
-    pub fn new(compute: Compute, channels: usize, vb: VarBuilder<'_>) -> Result<Self> {
-        Self::with_rank(compute, channels, None, vb)
-    }
-
-    /// As [`ResidualConv::new`]; with a rank it runs once it is [`calibrated`](Self::calibrated).
-    ///
-    /// # Errors
-    /// As [`ResidualConv::new`], and if parameters are to be trained with a rank.
-    pub(crate) fn with_rank(
+    /// If parameters exist with another shape, or are to be trained with a rank.
+    pub(crate) fn new(
         compute: Compute,
         channels: usize,
         rank: Option<usize>,

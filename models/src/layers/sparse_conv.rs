@@ -31,20 +31,6 @@ impl SparseConv {
     /// # Errors
     /// If the parameters exist with another shape.
     pub fn new(
-        cin: usize,
-        cout: usize,
-        kernel_size: usize,
-        bias: bool,
-        vb: VarBuilder<'_>,
-    ) -> Result<Self> {
-        Self::with(Compute::default(), cin, cout, kernel_size, bias, vb)
-    }
-
-    /// [`SparseConv::new`] with choices.
-    ///
-    /// # Errors
-    /// As [`SparseConv::new`].
-    pub fn with(
         compute: Compute,
         cin: usize,
         cout: usize,

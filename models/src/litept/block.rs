@@ -71,7 +71,7 @@ impl Block {
     pub fn new(shape: BlockShape, vb: VarBuilder<'_>) -> Result<Self> {
         let (c, compute) = (shape.attention.channels, shape.compute);
         let entry = if shape.kind.has_convolution() {
-            Entry::Convolution(Box::new(ResidualConv::new(compute, c, vb.pp("conv"))?))
+            Entry::Convolution(Box::new(ResidualConv::new(compute, c, None, vb.pp("conv"))?))
         } else {
             Entry::Norm(LayerNorm::new(c, vb.pp("norm0.0"))?)
         };

@@ -4,8 +4,8 @@ use super::LitePt;
 use super::attention::AttentionShape;
 use super::block::{BlockKind, BlockShape};
 use crate::stages::{
-    DEEPEST, LARGEST, MAX_MLP_RATIO, check_lengths, check_rates, check_sizes, curves, drop_rates,
-    falling_drop_rates,
+    DEEPEST, LARGEST, MAX_MLP_RATIO, check_fields, check_length, check_rates, curves, drop_rates,
+    each_block, falling_drop_rates, stem_inputs,
 };
 use crate::weights::Shapes;
 use crate::{Architecture, Backbone, BackboneCost, Compute, MultiplyAdds};
@@ -184,56 +184,39 @@ impl LitePtConfig {
     pub(super) fn encoder_blocks(&self) -> Vec<Vec<BlockShape>> {
         // Counted over convolution blocks too, which do not use them.
         let rates = drop_rates(&self.enc_depths, self.drop_path);
-        let stages = rates.iter().enumerate().map(|(stage, rates)| {
-            self.blocks(
-                rates,
-                self.enc_blocks[stage],
-                self.enc_channels[stage],
-                self.enc_num_head[stage],
-                self.enc_patch_size[stage],
-            )
-        });
-        stages.collect()
+        let (channels, heads) = (&self.enc_channels, &self.enc_num_head);
+        self.blocks(&rates, &self.enc_blocks, channels, heads, &self.enc_patch_size)
     }
 
     /// Shapes of the blocks of each decoder stage: the first that runs, in the coarsest stage, has
     /// the highest drop rate.
     pub(super) fn decoder_blocks(&self) -> Vec<Vec<BlockShape>> {
         let rates = falling_drop_rates(&self.dec_depths, self.drop_path);
-        let stages = rates.iter().enumerate().map(|(stage, rates)| {
-            self.blocks(
-                rates,
-                self.dec_blocks[stage],
-                self.dec_channels[stage],
-                self.dec_num_head[stage],
-                self.dec_patch_size[stage],
-            )
-        });
-        stages.collect()
+        let (channels, heads) = (&self.dec_channels, &self.dec_num_head);
+        self.blocks(&rates, &self.dec_blocks, channels, heads, &self.dec_patch_size)
     }
 
     fn blocks(
         &self,
-        rates: &[f64],
-        kind: BlockKind,
-        channels: usize,
-        num_heads: usize,
-        patch_size: usize,
-    ) -> Vec<BlockShape> {
-        let block = |(i, &drop_path): (usize, &f64)| BlockShape {
-            kind,
+        rates: &[Vec<f64>],
+        kinds: &[BlockKind],
+        channels: &[usize],
+        heads: &[usize],
+        patches: &[usize],
+    ) -> Vec<Vec<BlockShape>> {
+        each_block(rates, |stage, i, drop_path| BlockShape {
+            kind: kinds[stage],
             attention: AttentionShape {
-                channels,
-                num_heads,
-                patch_size,
+                channels: channels[stage],
+                num_heads: heads[stage],
+                patch_size: patches[stage],
                 order: i % self.order.len().max(1),
                 rope_base: self.rope_base,
             },
             mlp_ratio: self.mlp_ratio,
             drop_path,
             compute: self.compute,
-        };
-        rates.iter().enumerate().map(block).collect()
+        })
     }
 
     /// Checks the width of heads where there is attention.
@@ -260,34 +243,24 @@ impl Architecture for LitePtConfig {
     fn check(&self) -> Result<()> {
         let stages = self.num_stages();
         let above = stages.saturating_sub(1);
-        check_lengths(
+        check_fields(
             stages,
             &[
-                ("enc_channels", self.enc_channels.len(), stages),
-                ("enc_blocks", self.enc_blocks.len(), stages),
-                ("enc_num_head", self.enc_num_head.len(), stages),
-                ("enc_patch_size", self.enc_patch_size.len(), stages),
-                ("stride", self.stride.len(), above),
-                ("dec_depths", self.dec_depths.len(), above),
-                ("dec_channels", self.dec_channels.len(), above),
-                ("dec_blocks", self.dec_blocks.len(), above),
-                ("dec_num_head", self.dec_num_head.len(), above),
-                ("dec_patch_size", self.dec_patch_size.len(), above),
+                ("in_channels", &[self.in_channels], 1, 1..=LARGEST),
+                ("mlp_ratio", &[self.mlp_ratio], 1, 1..=MAX_MLP_RATIO),
+                ("stride", &self.stride, above, 1..=LARGEST),
+                ("enc_channels", &self.enc_channels, stages, 1..=LARGEST),
+                ("enc_num_head", &self.enc_num_head, stages, 1..=LARGEST),
+                ("enc_patch_size", &self.enc_patch_size, stages, 1..=LARGEST),
+                ("dec_channels", &self.dec_channels, above, 1..=LARGEST),
+                ("dec_num_head", &self.dec_num_head, above, 1..=LARGEST),
+                ("dec_patch_size", &self.dec_patch_size, above, 1..=LARGEST),
+                ("enc_depths", &self.enc_depths, stages, 0..=DEEPEST),
+                ("dec_depths", &self.dec_depths, above, 0..=DEEPEST),
             ],
         )?;
-        check_sizes(&[
-            ("in_channels", &[self.in_channels], 1, LARGEST),
-            ("mlp_ratio", &[self.mlp_ratio], 1, MAX_MLP_RATIO),
-            ("stride", &self.stride, 1, LARGEST),
-            ("enc_channels", &self.enc_channels, 1, LARGEST),
-            ("enc_num_head", &self.enc_num_head, 1, LARGEST),
-            ("enc_patch_size", &self.enc_patch_size, 1, LARGEST),
-            ("dec_channels", &self.dec_channels, 1, LARGEST),
-            ("dec_num_head", &self.dec_num_head, 1, LARGEST),
-            ("dec_patch_size", &self.dec_patch_size, 1, LARGEST),
-            ("enc_depths", &self.enc_depths, 0, DEEPEST),
-            ("dec_depths", &self.dec_depths, 0, DEEPEST),
-        ])?;
+        check_length("enc_blocks", self.enc_blocks.len(), stages, stages)?;
+        check_length("dec_blocks", self.dec_blocks.len(), above, stages)?;
         check_rates(&self.stride, self.drop_path)?;
         self.check_heads()?;
         if !(self.rope_base.is_finite() && self.rope_base >= 1.0) {
@@ -331,7 +304,7 @@ impl Architecture for LitePtConfig {
         Ok(())
     }
     fn adapt_to(&mut self, shapes: &Shapes) {
-        self.take_inputs(shapes);
+        self.in_channels = stem_inputs(shapes).unwrap_or(self.in_channels);
     }
     fn fits(&self, shapes: &Shapes) -> bool {
         self.has_shapes(shapes)

@@ -28,7 +28,7 @@ pub use scale::Scale;
 
 use crate::layers::CellPooling;
 use crate::point_transformer_v3::{Embedding, SerializedUnpooling};
-use crate::row_order::{OrderShuffle, morton_rows};
+use crate::row_order::{OrderShuffle, enter, leave, morton_rows};
 use crate::stages::curves;
 use crate::{Architecture, Backbone, BackboneCost, Compute, Forward, PointCloud};
 use candle_core::{Device, Result, Tensor, bail};
@@ -140,11 +140,7 @@ impl Backbone for LitePt {
         let (cells, sorted) = morton_rows(points)?;
         let mut shuffle = OrderShuffle::new(&cx.orders);
         let mut scale = self.scale(0, (cells, points.offsets.to_vec()), &mut shuffle, cx)?;
-        let feat = match &sorted {
-            Some(sorted) => sorted.enter(&points.feat)?,
-            None => points.feat.clone(),
-        };
-        let feat = feat.to_device(&self.device)?;
+        let feat = enter(sorted.as_ref(), &points.feat)?.to_device(&self.device)?;
         let mut x = self.embedding.forward(&feat, scale.cloud(), cx)?;
         drop(feat);
         cx.observe("embedding", &x)?;
@@ -178,10 +174,7 @@ impl Backbone for LitePt {
                 cx.observe(&format!("dec.dec{i}.block{j}"), &x)?;
             }
         }
-        match sorted {
-            Some(sorted) => sorted.leave(&x),
-            None => Ok(x),
-        }
+        leave(sorted.as_ref(), x)
     }
     fn out_channels(&self) -> usize {
         self.config.out_channels()

@@ -46,7 +46,7 @@ pub use scenesplat_kernels::normalize::normalize_rows;
 pub use segment_reduce::{expand_groups, segment_reduce};
 pub use sparse_conv::{sparse_conv, sparse_conv_frozen, sparse_conv_with};
 
-pub(crate) use operation::{Operation, apply, gradients, here};
+pub(crate) use operation::{Operation, apply, forward_passes, gradients, here};
 
 use crate::device::launches::{Input, Launched, matrix, narrow, room};
 use candle_core::{CpuStorage, DType, Device, Layout, Result, Shape, Storage, Tensor, bail};

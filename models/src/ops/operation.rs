@@ -176,6 +176,10 @@ impl<O: Operation> Custom<O> {
         self.on_copies(inputs)
     }
 
+    fn on_metal(&self, inputs: &[(&MetalStorage, &Layout)]) -> Result<(MetalStorage, Shape)> {
+        self.on_copies(inputs)
+    }
+
     /// The pass of the CPU on copies of a device's values; the result goes back there.
     fn on_copies<S: BackendStorage>(&self, inputs: &[(&S, &Layout)]) -> Result<(S, Shape)>
     where
@@ -194,9 +198,9 @@ impl<O: Operation> Custom<O> {
 
 /// The forward passes of candle's traits: a storage and its layout for each input.
 macro_rules! forward_passes {
-    ($($storage:ident $layout:ident),*) => {
+    ($name:expr, $($storage:ident $layout:ident),*) => {
         fn name(&self) -> &'static str {
-            O::NAME
+            $name
         }
         fn cpu_fwd(&self, $($storage: &CpuStorage, $layout: &Layout),*) -> Result<(CpuStorage, Shape)> {
             self.on_cpu(&[$(($storage, $layout)),*])
@@ -205,20 +209,21 @@ macro_rules! forward_passes {
             self.on_cuda(&[$(($storage, $layout)),*])
         }
         fn metal_fwd(&self, $($storage: &MetalStorage, $layout: &Layout),*) -> Result<(MetalStorage, Shape)> {
-            self.on_copies(&[$(($storage, $layout)),*])
+            self.on_metal(&[$(($storage, $layout)),*])
         }
     };
 }
+pub(crate) use forward_passes;
 
 impl<O: Operation> CustomOp1 for Custom<O> {
-    forward_passes!(s l);
+    forward_passes!(O::NAME, s l);
     fn bwd(&self, x: &Tensor, _: &Tensor, grad: &Tensor) -> Result<Option<Tensor>> {
         Ok(self.0.gradients(&[x], grad)?.pop())
     }
 }
 
 impl<O: Operation> CustomOp2 for Custom<O> {
-    forward_passes!(s1 l1, s2 l2);
+    forward_passes!(O::NAME, s1 l1, s2 l2);
     fn bwd(
         &self,
         a: &Tensor,
@@ -232,7 +237,7 @@ impl<O: Operation> CustomOp2 for Custom<O> {
 }
 
 impl<O: Operation> CustomOp3 for Custom<O> {
-    forward_passes!(s1 l1, s2 l2, s3 l3);
+    forward_passes!(O::NAME, s1 l1, s2 l2, s3 l3);
     fn bwd(
         &self,
         a: &Tensor,

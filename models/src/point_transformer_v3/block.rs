@@ -63,7 +63,7 @@ impl Block {
         )?;
         let (ratio, drop_path) = (shape.mlp_ratio, shape.drop_path);
         Ok(Self {
-            conv: ResidualConv::with_rank(compute, c, rank, vb.pp("cpe"))?,
+            conv: ResidualConv::new(compute, c, rank, vb.pp("cpe"))?,
             rest: Arc::new(AttentionMlp::new(attention, c, ratio, drop_path, compute, &vb)?),
         })
     }

@@ -6,8 +6,8 @@ use super::block::BlockShape;
 use crate::architecture::NO_LAST_STAGE;
 use crate::params::check_values;
 use crate::stages::{
-    DEEPEST, LARGEST, MAX_MLP_RATIO, check_lengths, check_rates, check_sizes, curves, drop_rates,
-    falling_drop_rates,
+    DEEPEST, LARGEST, MAX_MLP_RATIO, check_fields, check_rates, curves, drop_rates, each_block,
+    falling_drop_rates, stem_inputs,
 };
 use crate::weights::Shapes;
 use crate::{Architecture, Backbone, BackboneCost, Compute, LastStage, MultiplyAdds, Shortcuts};
@@ -124,19 +124,9 @@ impl PointTransformerV3Config {
 
     /// The supervised segmentation network: 14 inputs (with normals), 64 outputs.
     pub fn semseg() -> Self {
-        Self {
-            in_channels: 14,
-            stride: vec![2; 4],
-            enc_depths: vec![2, 2, 2, 6, 2],
-            enc_channels: vec![32, 64, 128, 256, 512],
-            enc_num_head: vec![2, 4, 8, 16, 32],
-            enc_patch_size: vec![1024; 5],
-            dec_depths: vec![2; 4],
-            dec_channels: vec![64, 64, 128, 256],
-            dec_num_head: vec![4, 4, 8, 16],
-            dec_patch_size: vec![1024; 4],
-            ..Self::language()
-        }
+        let encoder = [[2, 32, 2], [2, 64, 4], [2, 128, 8], [6, 256, 16], [2, 512, 32]];
+        let decoder = [[2, 64, 4], [2, 64, 4], [2, 128, 8], [2, 256, 16]];
+        Self { in_channels: 14, ..Self::language() }.with_stages(&encoder, &decoder, 1024)
     }
 
     /// The self-supervised network: as for segmentation, with maximum pooling and a mask token.
@@ -146,18 +136,31 @@ impl PointTransformerV3Config {
 
     /// A small language network (64 outputs) for trying things out.
     pub fn tiny() -> Self {
+        let (encoder, decoder) = ([[1, 16, 1], [1, 32, 2], [2, 64, 4]], [[1, 64, 4], [1, 32, 2]]);
+        Self { drop_path: 0.1, ..Self::language() }.with_stages(&encoder, &decoder, 256)
+    }
+
+    /// With other stages, each half as fine as the one before: their blocks, channels and attention heads, from
+    /// fine to coarse, those of the decoder without the last; and so many points in an attention patch.
+    #[must_use]
+    pub fn with_stages(
+        self,
+        encoder: &[[usize; 3]],
+        decoder: &[[usize; 3]],
+        patch_size: usize,
+    ) -> Self {
+        let of = |stages: &[[usize; 3]], i: usize| stages.iter().map(|stage| stage[i]).collect();
         Self {
-            stride: vec![2; 2],
-            enc_depths: vec![1, 1, 2],
-            enc_channels: vec![16, 32, 64],
-            enc_num_head: vec![1, 2, 4],
-            enc_patch_size: vec![256; 3],
-            dec_depths: vec![1; 2],
-            dec_channels: vec![64, 32],
-            dec_num_head: vec![4, 2],
-            dec_patch_size: vec![256; 2],
-            drop_path: 0.1,
-            ..Self::language()
+            stride: vec![2; encoder.len().saturating_sub(1)],
+            enc_depths: of(encoder, 0),
+            enc_channels: of(encoder, 1),
+            enc_num_head: of(encoder, 2),
+            enc_patch_size: vec![patch_size; encoder.len()],
+            dec_depths: of(decoder, 0),
+            dec_channels: of(decoder, 1),
+            dec_num_head: of(decoder, 2),
+            dec_patch_size: vec![patch_size; decoder.len()],
+            ..self
         }
     }
 
@@ -235,32 +238,22 @@ impl PointTransformerV3Config {
         let stages = self.num_stages();
         let above = stages.saturating_sub(1);
         let decoder = if self.dec_depths.is_empty() { 0 } else { above };
-        check_lengths(
+        check_fields(
             stages,
             &[
-                ("stride", self.stride.len(), above),
-                ("enc_channels", self.enc_channels.len(), stages),
-                ("enc_num_head", self.enc_num_head.len(), stages),
-                ("enc_patch_size", self.enc_patch_size.len(), stages),
-                ("dec_depths", self.dec_depths.len(), decoder),
-                ("dec_channels", self.dec_channels.len(), decoder),
-                ("dec_num_head", self.dec_num_head.len(), decoder),
-                ("dec_patch_size", self.dec_patch_size.len(), decoder),
+                ("in_channels", &[self.in_channels], 1, 1..=MAX_INPUTS),
+                ("mlp_ratio", &[self.mlp_ratio], 1, 1..=MAX_MLP_RATIO),
+                ("stride", &self.stride, above, 1..=MAX_STRIDE),
+                ("enc_depths", &self.enc_depths, stages, 0..=DEEPEST),
+                ("dec_depths", &self.dec_depths, decoder, 0..=DEEPEST),
+                ("enc_channels", &self.enc_channels, stages, 1..=LARGEST),
+                ("dec_channels", &self.dec_channels, decoder, 1..=LARGEST),
+                ("enc_num_head", &self.enc_num_head, stages, 1..=LARGEST),
+                ("dec_num_head", &self.dec_num_head, decoder, 1..=LARGEST),
+                ("enc_patch_size", &self.enc_patch_size, stages, 1..=MAX_PATCH_SIZE),
+                ("dec_patch_size", &self.dec_patch_size, decoder, 1..=MAX_PATCH_SIZE),
             ],
         )?;
-        check_sizes(&[
-            ("in_channels", &[self.in_channels], 1, MAX_INPUTS),
-            ("mlp_ratio", &[self.mlp_ratio], 1, MAX_MLP_RATIO),
-            ("stride", &self.stride, 1, MAX_STRIDE),
-            ("enc_depths", &self.enc_depths, 0, DEEPEST),
-            ("dec_depths", &self.dec_depths, 0, DEEPEST),
-            ("enc_channels", &self.enc_channels, 1, LARGEST),
-            ("dec_channels", &self.dec_channels, 1, LARGEST),
-            ("enc_num_head", &self.enc_num_head, 1, LARGEST),
-            ("dec_num_head", &self.dec_num_head, 1, LARGEST),
-            ("enc_patch_size", &self.enc_patch_size, 1, MAX_PATCH_SIZE),
-            ("dec_patch_size", &self.dec_patch_size, 1, MAX_PATCH_SIZE),
-        ])?;
         check_values(self.num_values())?;
         if self.shortcuts != Shortcuts::default() && self.last_stage_width().is_none() {
             bail!("shortcuts: {NO_LAST_STAGE}");
@@ -307,10 +300,7 @@ impl PointTransformerV3Config {
             batch_rule: self.batch_rule,
             compute: self.compute,
         };
-        let stage = |(stage, rates): (usize, &Vec<f64>)| {
-            rates.iter().enumerate().map(|(i, &rate)| block(stage, i, rate)).collect()
-        };
-        rates.iter().enumerate().map(stage).collect()
+        each_block(rates, block)
     }
 }
 
@@ -366,7 +356,7 @@ impl Architecture for PointTransformerV3Config {
         Ok(())
     }
     fn adapt_to(&mut self, shapes: &Shapes) {
-        self.take_inputs(shapes);
+        self.in_channels = stem_inputs(shapes).unwrap_or(self.in_channels);
     }
     fn fits(&self, shapes: &Shapes) -> bool {
         self.has_shapes(shapes)

@@ -122,19 +122,11 @@ mod tests {
     use super::*;
 
     fn small() -> PointTransformerV3Config {
-        PointTransformerV3Config {
-            in_channels: 3,
-            stride: vec![2],
-            enc_depths: vec![1, 2],
-            enc_channels: vec![4, 8],
-            enc_num_head: vec![1, 1],
-            enc_patch_size: vec![16, 16],
-            dec_depths: vec![1],
-            dec_channels: vec![6],
-            dec_num_head: vec![1],
-            dec_patch_size: vec![16],
-            ..PointTransformerV3Config::tiny()
-        }
+        PointTransformerV3Config { in_channels: 3, ..PointTransformerV3Config::tiny() }.with_stages(
+            &[[1, 4, 1], [2, 8, 1]],
+            &[[1, 6, 1]],
+            16,
+        )
     }
 
     #[test]

@@ -25,7 +25,7 @@ impl Embedding {
         vb: VarBuilder<'_>,
     ) -> Result<Self> {
         Ok(Self {
-            conv: SparseConv::with(compute, in_channels, channels, 5, false, vb.pp("stem.conv"))?,
+            conv: SparseConv::new(compute, in_channels, channels, 5, false, vb.pp("stem.conv"))?,
             norm: BatchNorm::new(channels, vb.pp("stem.norm"))?,
         })
     }

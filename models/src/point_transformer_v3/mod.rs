@@ -26,7 +26,7 @@ pub use embedding::Embedding;
 pub use pooling::SerializedPooling;
 pub use unpooling::{SerializedUnpooling, Unpooled};
 
-use crate::row_order::{OrderShuffle, SortedRows, morton_rows};
+use crate::row_order::{OrderShuffle, SortedRows, enter, leave, morton_rows};
 use crate::{
     Architecture, Backbone, BackboneCost, Calibrated, Compute, Forward, LastStage, Level,
     LevelOptions, Levels, Mode, PointCloud, Shortcuts, ops,
@@ -239,9 +239,7 @@ impl PointTransformerV3 {
             let before = before_block.as_deref_mut().filter(|_| i == 0);
             (x, cloud) = self.decode(i, x, cloud, skip, before, cx)?;
         }
-        if let Some(sorted) = &sorted {
-            x = sorted.leave(&x)?;
-        }
+        x = leave(sorted.as_ref(), x)?;
         Ok(Pass { encoder, encoder_offsets, levels, decoder: Some(x), sorted })
     }
 
@@ -262,11 +260,8 @@ impl PointTransformerV3 {
         let mut cloud = SerializedCloud::new(cells, points.offsets.to_vec(), &self.curves, depth)
             .map_err(candle_core::Error::wrap)?;
         shuffle.apply(&mut cloud, cx)?;
-        let feat = match &sorted {
-            Some(sorted) => sorted.enter(&points.feat)?,
-            None => points.feat.clone(),
-        };
-        let mut x = self.embedding.forward(&feat.to_device(&self.device)?, &cloud, cx)?;
+        let feat = enter(sorted.as_ref(), &points.feat)?.to_device(&self.device)?;
+        let mut x = self.embedding.forward(&feat, &cloud, cx)?;
         cx.observe("embedding", &x)?;
         if let Some(mask) = mask {
             x = self.replace_masked(&x, mask, sorted.as_ref().map(|sorted| sorted.order()))?;

@@ -258,118 +258,105 @@ impl<'a> Machine<'a> {
     /// Gives the value on top when the program stops.
     fn run(&mut self) -> Step<Ref> {
         loop {
-            let code = self.take(1)?[0];
-            match code {
+            match self.take(1)?[0] {
                 b'.' => return self.pop(),
-                0x80 => _ = self.take(1)?,
-                0x95 => _ = self.take(8)?,
-                b'(' => self.marks.push(self.stack.len()),
-                b'0' => _ = self.pop()?,
-                b'1' => _ = self.pop_to_mark()?,
-                b'2' => self.stack.push(self.top()?),
-                b'N' => self.push(Value::None)?,
-                0x88 => self.push(Value::Bool(true))?,
-                0x89 => self.push(Value::Bool(false))?,
-                b'J' => {
-                    let value = self.number(4)? as u32 as i32;
-                    self.push(Value::Int(i64::from(value)))?;
-                }
-                b'K' | b'M' => {
-                    let value = self.number(if code == b'K' { 1 } else { 2 })?;
-                    self.push(Value::Int(value as i64))?;
-                }
-                0x8a => self.long(1)?,
-                0x8b => self.long(4)?,
-                b'G' => {
-                    let mut bytes = [0; 8];
-                    bytes.copy_from_slice(self.take(8)?);
-                    self.push(Value::Float(f64::from_be_bytes(bytes)))?;
-                }
-                0x8c | b'U' => self.text(1)?,
-                b'X' | b'T' => self.text(4)?,
-                0x8d => self.text(8)?,
-                b'C' => self.opaque(1)?,
-                b'B' => self.opaque(4)?,
-                0x8e | 0x96 => self.opaque(8)?,
-                b')' => self.tuple(0)?,
-                0x85 => self.tuple(1)?,
-                0x86 => self.tuple(2)?,
-                0x87 => self.tuple(3)?,
-                b't' => {
-                    let items = self.pop_to_mark()?;
-                    self.push(Value::Tuple(items))?;
-                }
-                b']' => self.push(Value::List(Vec::new()))?,
-                b'l' => {
-                    let items = self.pop_to_mark()?;
-                    self.push(Value::List(items))?;
-                }
-                b'a' => {
-                    let item = self.pop()?;
-                    self.extend_list(vec![item])?;
-                }
-                b'e' => {
-                    let items = self.pop_to_mark()?;
-                    self.extend_list(items)?;
-                }
-                b'}' => self.push(Value::Dict(Vec::new()))?,
-                b'd' => {
-                    let items = self.pop_to_mark()?;
-                    self.push(Value::Dict(Vec::new()))?;
-                    self.extend_dict(&items)?;
-                }
-                b's' => {
-                    let value = self.pop()?;
-                    let key = self.pop()?;
-                    self.extend_dict(&[key, value])?;
-                }
-                b'u' => {
-                    let items = self.pop_to_mark()?;
-                    self.extend_dict(&items)?;
-                }
-                0x8f => self.push(Value::Opaque)?,
-                0x90 => _ = self.pop_to_mark()?,
-                0x91 => {
-                    self.pop_to_mark()?;
-                    self.push(Value::Opaque)?;
-                }
-                b'c' => {
-                    let (module, name) = (self.line()?, self.line()?);
-                    self.push(Value::Global(format!("{module}.{name}")))?;
-                }
-                0x93 => {
-                    let (name, module) = (self.pop()?, self.pop()?);
-                    let full = match (&self.values[module as usize], &self.values[name as usize]) {
-                        (Value::Text(module), Value::Text(name)) => format!("{module}.{name}"),
-                        _ => return Err("a class whose name is no text".to_owned()),
-                    };
-                    self.push(Value::Global(full))?;
-                }
-                b'R' | 0x81 => {
-                    let args = self.pop()?;
-                    self.call(args)?;
-                }
-                0x92 => {
-                    let (_keywords, args) = (self.pop()?, self.pop()?);
-                    self.call(args)?;
-                }
-                // The state of an object; of a dictionary, its attributes beside the entries.
-                b'b' => _ = self.pop()?,
-                b'Q' => {
-                    let id = self.pop()?;
-                    self.push(Value::External(id))?;
-                }
-                b'q' | b'r' => {
-                    let slot = self.number(if code == b'q' { 1 } else { 4 })?;
-                    self.remember(slot)?;
-                }
-                0x94 => self.remember(self.memo.len())?,
-                b'h' | b'j' => {
-                    let slot = self.number(if code == b'h' { 1 } else { 4 })?;
-                    self.recall(slot)?;
-                }
-                other => return Err(format!("operation {other:#04x} is not known")),
+                code => self.step(code)?,
             }
+        }
+    }
+
+    /// An operation on the stack, the memory or a plain value.
+    fn step(&mut self, code: u8) -> Step<()> {
+        match code {
+            0x80 => self.take(1).map(drop),
+            0x95 => self.take(8).map(drop),
+            // `b` is the state of an object; of a dictionary, its attributes beside the entries.
+            b'0' | b'b' => self.pop().map(drop),
+            b'1' | 0x90 => self.pop_to_mark().map(drop),
+            b'(' => {
+                self.marks.push(self.stack.len());
+                Ok(())
+            }
+            b'2' => {
+                self.stack.push(self.top()?);
+                Ok(())
+            }
+            b'N' => self.push(Value::None),
+            0x88 | 0x89 => self.push(Value::Bool(code == 0x88)),
+            b'J' => {
+                let value = self.number(4)? as u32 as i32;
+                self.push(Value::Int(i64::from(value)))
+            }
+            b'K' | b'M' => {
+                let value = self.number(if code == b'K' { 1 } else { 2 })?;
+                self.push(Value::Int(value as i64))
+            }
+            0x8a => self.long(1),
+            0x8b => self.long(4),
+            b'G' => {
+                let mut bytes = [0; 8];
+                bytes.copy_from_slice(self.take(8)?);
+                self.push(Value::Float(f64::from_be_bytes(bytes)))
+            }
+            0x8c | b'U' => self.text(1),
+            b'X' | b'T' => self.text(4),
+            0x8d => self.text(8),
+            b'C' => self.opaque(1),
+            b'B' => self.opaque(4),
+            0x8e | 0x96 => self.opaque(8),
+            b'q' => self.number(1).and_then(|slot| self.remember(slot)),
+            b'r' => self.number(4).and_then(|slot| self.remember(slot)),
+            0x94 => self.remember(self.memo.len()),
+            b'h' => self.number(1).and_then(|slot| self.recall(slot)),
+            b'j' => self.number(4).and_then(|slot| self.recall(slot)),
+            _ => self.composite(code),
+        }
+    }
+
+    /// An operation that makes or fills a list, a dictionary or an object.
+    fn composite(&mut self, code: u8) -> Step<()> {
+        match code {
+            b')' => self.tuple(0),
+            0x85 => self.tuple(1),
+            0x86 => self.tuple(2),
+            0x87 => self.tuple(3),
+            b't' => self.pop_to_mark().and_then(|items| self.push(Value::Tuple(items))),
+            b']' => self.push(Value::List(Vec::new())),
+            b'l' => self.pop_to_mark().and_then(|items| self.push(Value::List(items))),
+            b'a' => self.pop().and_then(|item| self.extend_list(vec![item])),
+            b'e' => self.pop_to_mark().and_then(|items| self.extend_list(items)),
+            b'}' => self.push(Value::Dict(Vec::new())),
+            b'd' => {
+                let items = self.pop_to_mark()?;
+                self.push(Value::Dict(Vec::new()))?;
+                self.extend_dict(&items)
+            }
+            b's' => {
+                let (value, key) = (self.pop()?, self.pop()?);
+                self.extend_dict(&[key, value])
+            }
+            b'u' => self.pop_to_mark().and_then(|items| self.extend_dict(&items)),
+            0x8f => self.push(Value::Opaque),
+            0x91 => self.pop_to_mark().and_then(|_| self.push(Value::Opaque)),
+            b'c' => {
+                let (module, name) = (self.line()?, self.line()?);
+                self.push(Value::Global(format!("{module}.{name}")))
+            }
+            0x93 => {
+                let (name, module) = (self.pop()?, self.pop()?);
+                let full = match (&self.values[module as usize], &self.values[name as usize]) {
+                    (Value::Text(module), Value::Text(name)) => format!("{module}.{name}"),
+                    _ => return Err("a class whose name is no text".to_owned()),
+                };
+                self.push(Value::Global(full))
+            }
+            b'R' | 0x81 => self.pop().and_then(|args| self.call(args)),
+            0x92 => {
+                let (_keywords, args) = (self.pop()?, self.pop()?);
+                self.call(args)
+            }
+            b'Q' => self.pop().and_then(|id| self.push(Value::External(id))),
+            other => Err(format!("operation {other:#04x} is not known")),
         }
     }
 }

@@ -196,63 +196,59 @@ fn tensor_info(pickle: &Pickle, value: Ref, folder: &str) -> Option<Result<Info>
     Some(read().ok_or_else(|| candle_core::Error::Msg("malformed tensor description".to_owned())))
 }
 
+/// The entry of a dictionary that holds the weights, where that is one of several: its key and its content.
+fn state_of<'a>(pickle: &'a Pickle, top: &'a [(Ref, Ref)]) -> Option<(Ref, &'a Vec<(Ref, Ref)>)> {
+    STATE_KEYS.iter().find_map(|wanted| {
+        top.iter().find_map(|(key, value)| match pickle.get(*value) {
+            Value::Dict(state) if pickle.text(*key) == Some(wanted) => Some((*key, state)),
+            _ => None,
+        })
+    })
+}
+
 impl PthFile {
     pub(super) fn open(path: &Path) -> Result<Self> {
         let (archive, folder, pickle) = unpickle(path)?;
+        let info = |name: &str, value| {
+            let info = tensor_info(&pickle, value, &folder)?;
+            Some(info.map_err(|e| message(path, &format!("{name}: {e}"))))
+        };
         let (mut tensors, mut skipped) = (BTreeMap::new(), Vec::new());
-        let malformed =
-            |name: &str, e| candle_core::Error::Msg(format!("{}: {name}: {e}", printable(path)));
-        let Value::Dict(top) = pickle.root() else {
-            let root = pickle.root_ref();
-            if let Value::Tuple(items) = pickle.root() {
-                // A table with something beside it, by their places.
-                for (place, item) in items.iter().enumerate() {
-                    let name = place.to_string();
-                    match tensor_info(&pickle, *item, &folder) {
-                        Some(info) => {
-                            let info = info.map_err(|e| malformed(&name, e))?;
-                            tensors.insert(name, info);
-                        }
-                        None => skipped.push(name),
-                    }
-                }
-                if !tensors.is_empty() {
-                    return Ok(Self { archive: Mutex::new(archive), tensors, skipped });
-                }
-            }
-            let Some(info) = tensor_info(&pickle, root, &folder) else {
-                bail!(
-                    "{}: holds neither a dictionary nor a tensor; a whole pickled module cannot be \
-                     read: save its state_dict()",
-                    printable(path)
-                );
-            };
-            tensors.insert(String::new(), info.map_err(|e| malformed("the tensor", e))?);
-            return Ok(Self { archive: Mutex::new(archive), tensors, skipped });
-        };
-        let state = STATE_KEYS.iter().find_map(|wanted| {
-            top.iter().find_map(|(key, value)| match pickle.get(*value) {
-                Value::Dict(state) if pickle.text(*key) == Some(wanted) => Some((*key, state)),
-                _ => None,
-            })
-        });
-        let entries = match state {
-            None => top,
-            Some((chosen, state)) => {
-                let others = top.iter().filter(|(key, _)| *key != chosen);
+        // Names of tensors are texts.
+        let mut entries: Vec<(String, Option<Ref>)> = Vec::new();
+        match pickle.root() {
+            Value::Dict(top) => {
+                let state = state_of(&pickle, top);
+                let others =
+                    top.iter().filter(|(key, _)| state.is_some_and(|(own, _)| own != *key));
                 skipped.extend(others.map(|(key, _)| pickle.key(*key)));
-                state
+                let named = |(key, value): &(Ref, Ref)| {
+                    (pickle.key(*key), pickle.text(*key).map(|_| *value))
+                };
+                entries.extend(state.map_or(top, |(_, state)| state).iter().map(named));
             }
-        };
-        for (key, value) in entries {
-            let name = pickle.key(*key);
-            match tensor_info(&pickle, *value, &folder) {
-                Some(info) if pickle.text(*key).is_some() => {
-                    let info = info.map_err(|e| malformed(&name, e))?;
-                    tensors.insert(name, info);
-                }
-                _ => skipped.push(name),
+            // A table with something beside it, by their places.
+            Value::Tuple(items) => {
+                let placed = items.iter().enumerate();
+                entries.extend(placed.map(|(place, item)| (place.to_string(), Some(*item))));
             }
+            _ => {
+                let tensor = info("the tensor", pickle.root_ref()).transpose()?;
+                tensors.extend(tensor.map(|info| (String::new(), info)));
+            }
+        }
+        for (name, value) in entries {
+            match value.and_then(|value| info(&name, value)) {
+                Some(info) => _ = tensors.insert(name, info?),
+                None => skipped.push(name),
+            }
+        }
+        if tensors.is_empty() && !matches!(pickle.root(), Value::Dict(_)) {
+            bail!(
+                "{}: holds neither a dictionary nor a tensor; a whole pickled module cannot be \
+                 read: save its state_dict()",
+                printable(path)
+            );
         }
         Ok(Self { archive: Mutex::new(archive), tensors, skipped })
     }

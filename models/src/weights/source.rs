@@ -109,15 +109,6 @@ impl WeightSource {
         matches!(self.0, Kind::Empty)
     }
 
-    /// All names that have a value; none for hashed values, which know every name.
-    pub(crate) fn names(&self) -> Vec<String> {
-        match &self.0 {
-            Kind::Empty | Kind::Hashed { .. } => Vec::new(),
-            Kind::Files { entries, .. } => entries.keys().cloned().collect(),
-            Kind::Tensors(tensors) => tensors.keys().cloned().collect(),
-        }
-    }
-
     /// Values of all entries; `None` for hashed values, which are as many as asked for.
     pub(crate) fn num_values(&self) -> Option<usize> {
         let count = |shape: &[usize]| shape.iter().fold(1usize, |n, d| n.saturating_mul(*d));

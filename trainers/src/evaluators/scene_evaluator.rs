@@ -40,7 +40,7 @@ pub struct SceneEvaluator<L> {
     pub(super) own: OwnMetrics,
 }
 
-impl<L: Labelling> SceneEvaluator<L> {
+impl<L> SceneEvaluator<L> {
     /// Each scored point or Gaussian takes the majority of the `k` Gaussians nearest to it; for
     /// Gaussians, 1 is no vote.
     #[must_use]
@@ -59,7 +59,9 @@ impl<L: Labelling> SceneEvaluator<L> {
         self.own.add(metric);
         self
     }
+}
 
+impl<L: Labelling> SceneEvaluator<L> {
     /// The counts over all scenes.
     ///
     /// # Errors

@@ -3,7 +3,7 @@ use super::{Optimizer, ParamGroup, StepHyperparameters, clip};
 use crate::TrainError;
 use crate::error::check_setting;
 use candle_core::{DType, Result as TensorResult, Tensor, Var, backprop::GradStore};
-use serde::{Deserialize, Serialize};
+use scenesplat_kernels::settings;
 use std::collections::{BTreeMap, HashMap};
 
 /// Gradients above this norm are refused: their square, on its way into the second moment, would
@@ -13,22 +13,17 @@ const MAX_GRAD_NORM: f64 = 1e18;
 /// The counter is saved as an i64.
 const MAX_STEP: u64 = i64::MAX as u64;
 
-/// Settings of [`AdamW`] that no group changes. The default is PyTorch's.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields, default)]
-pub struct AdamWConfig {
-    /// Decay of the first moment, `0..1`, where no schedule sets it.
-    pub beta1: f64,
-    /// Decay of the second moment, `0..1`.
-    pub beta2: f64,
-    /// Added to the root of the second moment, above 0 also as an f32, or a parameter that has only
-    /// seen zero gradients would become 0/0. The original's self-supervised runs use 1e-4.
-    pub eps: f64,
-}
-
-impl Default for AdamWConfig {
-    fn default() -> Self {
-        Self { beta1: 0.9, beta2: 0.999, eps: 1e-8 }
+settings! {
+    /// Settings of [`AdamW`] that no group changes. The default is PyTorch's.
+    #[derive(Copy)]
+    pub struct AdamWConfig {
+        /// Decay of the first moment, `0..1`, where no schedule sets it.
+        pub beta1: f64 = 0.9,
+        /// Decay of the second moment, `0..1`.
+        pub beta2: f64 = 0.999,
+        /// Added to the root of the second moment, above 0 also as an f32, or a parameter that has only
+        /// seen zero gradients would become 0/0. The original's self-supervised runs use 1e-4.
+        pub eps: f64 = 1e-8,
     }
 }
 

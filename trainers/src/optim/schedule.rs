@@ -1,6 +1,7 @@
 use super::StepHyperparameters;
 use crate::TrainError;
 use crate::error::check_setting;
+use scenesplat_kernels::settings;
 use serde::{Deserialize, Serialize};
 use std::f64::consts::PI;
 
@@ -37,48 +38,37 @@ pub trait Schedule: Send {
     }
 }
 
-/// One rise and one longer fall of the learning rate, with the momentum going the other way.
-///
-/// With `T` steps in all, the rise ends at `e1 = warmup·T − 1` and the fall at `e2 = T − 1`, both
-/// real numbers. At step `n`, with `p = n / e1` during the rise and `p = (n − e1) / (e2 − e1)` after,
-/// a value goes from `a` to `b` as `b + (a − b)/2 · (1 + cos(π p))`:
-///
-/// | | start | `e1` | end |
-/// |---|---|---|---|
-/// | factor | `1/div_factor` | 1 | `1/(div_factor · final_div_factor)` |
-/// | beta1 | `max_beta1` | `min_beta1` | `max_beta1` |
-///
-/// In a short run (`warmup · T < 1`) the rise ends before step 0, which is then already falling.
-///
-/// # Source
-/// `torch.optim.lr_scheduler.OneCycleLR` with cosine annealing and two phases, with the defaults of
-/// SceneSplat be9d5e1 — whose optimizer's own beta1 of 0.9 is never used, because the scheduler
-/// cycles it. Differs: a step beyond the end holds the last value instead of raising; a rise of
-/// length 0 (`T = 20` at 5 %) counts as complete instead of dividing by zero.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields, default)]
-pub struct OneCycle {
-    /// Part of the run in which the rate rises, `0..=1`.
-    pub warmup: f64,
-    /// Peak rate over first rate.
-    pub div_factor: f64,
-    /// First rate over last rate.
-    pub final_div_factor: f64,
-    /// Momentum at the peak rate.
-    pub min_beta1: f64,
-    /// Momentum at the first and last step.
-    pub max_beta1: f64,
-}
-
-impl Default for OneCycle {
-    fn default() -> Self {
-        Self {
-            warmup: 0.05,
-            div_factor: 10.0,
-            final_div_factor: 1000.0,
-            min_beta1: 0.85,
-            max_beta1: 0.95,
-        }
+settings! {
+    /// One rise and one longer fall of the learning rate, with the momentum going the other way.
+    ///
+    /// With `T` steps in all, the rise ends at `e1 = warmup·T − 1` and the fall at `e2 = T − 1`, both
+    /// real numbers. At step `n`, with `p = n / e1` during the rise and `p = (n − e1) / (e2 − e1)` after,
+    /// a value goes from `a` to `b` as `b + (a − b)/2 · (1 + cos(π p))`:
+    ///
+    /// | | start | `e1` | end |
+    /// |---|---|---|---|
+    /// | factor | `1/div_factor` | 1 | `1/(div_factor · final_div_factor)` |
+    /// | beta1 | `max_beta1` | `min_beta1` | `max_beta1` |
+    ///
+    /// In a short run (`warmup · T < 1`) the rise ends before step 0, which is then already falling.
+    ///
+    /// # Source
+    /// `torch.optim.lr_scheduler.OneCycleLR` with cosine annealing and two phases, with the defaults of
+    /// SceneSplat be9d5e1 — whose optimizer's own beta1 of 0.9 is never used, because the scheduler
+    /// cycles it. Differs: a step beyond the end holds the last value instead of raising; a rise of
+    /// length 0 (`T = 20` at 5 %) counts as complete instead of dividing by zero.
+    #[derive(Copy)]
+    pub struct OneCycle {
+        /// Part of the run in which the rate rises, `0..=1`.
+        pub warmup: f64 = 0.05,
+        /// Peak rate over first rate.
+        pub div_factor: f64 = 10.0,
+        /// First rate over last rate.
+        pub final_div_factor: f64 = 1000.0,
+        /// Momentum at the peak rate.
+        pub min_beta1: f64 = 0.85,
+        /// Momentum at the first and last step.
+        pub max_beta1: f64 = 0.95,
     }
 }
 

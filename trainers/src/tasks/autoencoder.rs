@@ -7,30 +7,23 @@ use crate::event::{Evaluator, Progress};
 use crate::module::{StepContext, StepOutput, TrainingModule};
 use candle_core::{Device, Result, Tensor, bail};
 use scenesplat_datasets::{Dataset, LeftOut, TrainBatch};
+use scenesplat_kernels::settings;
 use scenesplat_losses::{Reduction, cosine, l2};
 use scenesplat_metrics::Measurement;
 use scenesplat_models::autoencoder::Autoencoder;
 use scenesplat_models::{Compute, Mode, ParamStore};
 use scenesplat_scene::{LanguageFeatures, TextTable};
-use serde::{Deserialize, Serialize};
 use std::sync::Arc;
 
-/// How features are compressed.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields, default)]
-pub struct AutoencoderConfig {
-    /// Widths of the features, of the layers between, and of the codes.
-    pub widths: Vec<usize>,
-    /// Weight of the square distance, summed over channels.
-    pub l2: f64,
-    /// Weight of 1 − cosine, of each row by itself.
-    pub cosine: f64,
-}
-
-impl Default for AutoencoderConfig {
-    /// The paper's "layer5, 16".
-    fn default() -> Self {
-        Self { widths: vec![768, 384, 192, 96, 48, 16], l2: 1.0, cosine: 1.0 }
+settings! {
+    /// How features are compressed.
+    pub struct AutoencoderConfig {
+        /// Widths of the features, of the layers between, and of the codes.
+        pub widths: Vec<usize> = vec![768, 384, 192, 96, 48, 16],
+        /// Weight of the square distance, summed over channels.
+        pub l2: f64 = 1.0,
+        /// Weight of 1 − cosine, of each row by itself.
+        pub cosine: f64 = 1.0,
     }
 }
 

@@ -36,19 +36,11 @@ const SEED: u64 = 1;
 fn model() -> ModelConfig {
     let config = PointTransformerV3Config {
         in_channels: CHANNELS,
-        stride: vec![2, 2],
-        enc_depths: vec![1, 1, 1],
-        enc_channels: vec![8, 16, 24],
-        enc_num_head: vec![1, 2, 2],
-        enc_patch_size: vec![32; 3],
-        dec_depths: vec![],
-        dec_channels: vec![],
-        dec_num_head: vec![],
-        dec_patch_size: vec![],
         drop_path: 0.0,
         mask_token: true,
         ..PointTransformerV3Config::language()
-    };
+    }
+    .with_stages(&[[1, 8, 1], [1, 16, 2], [1, 24, 2]], &[], 32);
     ModelConfig { grid_size: GRID, ..ModelConfig::new(config) }
 }
 

@@ -31,25 +31,14 @@ use std::path::Path;
 use std::sync::OnceLock;
 
 fn model(decoder: bool) -> ModelConfig {
-    let mut config = PointTransformerV3Config {
+    let decoder: &[[usize; 3]] = if decoder { &[[1, 8, 1]] } else { &[] };
+    let config = PointTransformerV3Config {
         in_channels: 11,
-        stride: vec![2],
-        enc_depths: vec![1, 1],
-        enc_channels: vec![8, 16],
-        enc_num_head: vec![1, 2],
-        enc_patch_size: vec![32, 32],
-        dec_depths: vec![1],
-        dec_channels: vec![8],
-        dec_num_head: vec![1],
-        dec_patch_size: vec![32],
         drop_path: 0.1,
         mask_token: true,
         ..PointTransformerV3Config::language()
     };
-    if !decoder {
-        (config.dec_depths, config.dec_channels) = (vec![], vec![]);
-        (config.dec_num_head, config.dec_patch_size) = (vec![], vec![]);
-    }
+    let config = config.with_stages(&[[1, 8, 1], [1, 16, 2]], decoder, 32);
     ModelConfig { grid_size: 0.25, ..ModelConfig::new(config) }
 }
 

@@ -32,23 +32,17 @@ fn original(name: &str, half: &str) -> String {
 }
 
 fn model() -> ModelConfig {
-    ModelConfig::new(PointTransformerV3Config {
-        in_channels: 11,
-        stride: vec![2, 2],
-        enc_depths: vec![1, 1, 2],
-        enc_channels: vec![16, 32, 48],
-        enc_num_head: vec![2, 2, 4],
-        enc_patch_size: vec![64; 3],
-        dec_depths: vec![1, 1],
-        dec_channels: vec![16, 32],
-        dec_num_head: vec![2, 2],
-        dec_patch_size: vec![64; 2],
-        drop_path: 0.0,
-        pooling: PoolingReduce::Max,
-        mask_token: true,
-        batch_rule: BatchRule::SharedDepthAndPatch,
-        ..PointTransformerV3Config::language()
-    })
+    ModelConfig::new(
+        PointTransformerV3Config {
+            in_channels: 11,
+            drop_path: 0.0,
+            pooling: PoolingReduce::Max,
+            mask_token: true,
+            batch_rule: BatchRule::SharedDepthAndPatch,
+            ..PointTransformerV3Config::language()
+        }
+        .with_stages(&[[1, 16, 2], [1, 32, 2], [2, 48, 4]], &[[1, 16, 2], [1, 32, 2]], 64),
+    )
 }
 
 fn view(g: &Golden, name: &str, kind: ViewKind) -> View {

@@ -202,18 +202,10 @@ fn company() -> [Case; 5] {
 fn tiny() -> Result<Box<dyn Backbone>, Failure> {
     let config = PointTransformerV3Config {
         in_channels: CHANNELS,
-        stride: vec![2, 2],
-        enc_depths: vec![2, 1, 1],
-        enc_channels: vec![8, 16, 24],
-        enc_num_head: vec![2, 4, 3],
-        enc_patch_size: vec![16; 3],
-        dec_depths: vec![1, 2],
-        dec_channels: vec![20, 16],
-        dec_num_head: vec![2, 2],
-        dec_patch_size: vec![16; 2],
         mlp_ratio: 2,
         ..PointTransformerV3Config::language()
-    };
+    }
+    .with_stages(&[[2, 8, 2], [1, 16, 4], [1, 24, 3]], &[[1, 20, 2], [2, 16, 2]], 16);
     let store = ParamStore::frozen(WeightSource::hashed(5, ""));
     Ok(ModelConfig::new(config).build(store.builder())?)
 }

@@ -195,18 +195,14 @@ pub fn unpooling() {
 fn decoder_stages_begin_with_the_skip_branch() {
     let config = PointTransformerV3Config {
         in_channels: 2,
-        stride: vec![2, 2],
-        enc_depths: vec![1; 3],
-        enc_channels: vec![4, 6, 8],
-        enc_num_head: vec![2; 3],
-        enc_patch_size: vec![PATCH; 3],
-        dec_depths: vec![2, 1],
-        dec_channels: vec![CHANNELS, 4],
-        dec_num_head: vec![HEADS; 2],
-        dec_patch_size: vec![PATCH; 2],
         mlp_ratio: 2,
         ..PointTransformerV3Config::language()
-    };
+    }
+    .with_stages(
+        &[[1, 4, 2], [1, 6, 2], [1, 8, 2]],
+        &[[2, CHANNELS, HEADS], [1, 4, HEADS]],
+        PATCH,
+    );
     let network = frozen(|vb| PointTransformerV3::new(&config, vb));
     // In the order in which the network holds them, so that what it shows needs no rearranging.
     let mut cells: Vec<[i32; 3]> = (0..60).map(|i| [i % 5, i / 5 % 4, i / 20]).collect();

@@ -9,20 +9,8 @@ use scenesplat_models::{
 use std::collections::BTreeMap;
 
 fn config(compute: Compute) -> PointTransformerV3Config {
-    PointTransformerV3Config {
-        in_channels: 11,
-        stride: vec![2, 2],
-        enc_depths: vec![1, 1, 2],
-        enc_channels: vec![16, 32, 48],
-        enc_num_head: vec![2, 4, 3],
-        enc_patch_size: vec![128; 3],
-        dec_depths: vec![1, 2],
-        dec_channels: vec![72, 64],
-        dec_num_head: vec![3, 4],
-        dec_patch_size: vec![128; 2],
-        compute,
-        ..PointTransformerV3Config::language()
-    }
+    PointTransformerV3Config { in_channels: 11, compute, ..PointTransformerV3Config::language() }
+        .with_stages(&[[1, 16, 2], [1, 32, 4], [2, 48, 3]], &[[1, 72, 3], [2, 64, 4]], 128)
 }
 
 fn room(side: i32, seed: u64) -> Scene {

@@ -12,19 +12,11 @@ use std::collections::BTreeMap;
 fn config(shortcuts: Shortcuts) -> PointTransformerV3Config {
     PointTransformerV3Config {
         in_channels: 3,
-        stride: vec![2, 2],
-        enc_depths: vec![1, 1, 1],
-        enc_channels: vec![8, 16, 24],
-        enc_num_head: vec![2, 4, 3],
-        enc_patch_size: vec![64; 3],
-        dec_depths: vec![2, 1],
-        dec_channels: vec![24, 16],
-        dec_num_head: vec![2, 2],
-        dec_patch_size: vec![64; 2],
         mlp_ratio: 2,
         shortcuts,
         ..PointTransformerV3Config::language()
     }
+    .with_stages(&[[1, 8, 2], [1, 16, 4], [1, 24, 3]], &[[2, 24, 2], [1, 16, 2]], 64)
 }
 
 fn build(shortcuts: Shortcuts) -> Box<dyn Backbone> {

@@ -1,6 +1,7 @@
 //! Running means of the teacher's logits, which change after a step and are kept in checkpoints.
 
-use super::config::Balance;
+use super::config::{Balance, Prototypes};
+use super::step::Step;
 use crate::TrainError;
 use candle_core::{Result, Tensor};
 use scenesplat_losses::self_supervised::{Centering, sinkhorn_knopp};
@@ -41,10 +42,11 @@ impl Centers {
         &self,
         name: &str,
         logits: &Tensor,
-        temperature: f64,
-        balance: Balance,
+        prototypes: &Prototypes,
+        step: &Step<'_>,
     ) -> Result<(Tensor, f64)> {
-        let targets = match balance {
+        let temperature = prototypes.teacher_temperature.value(step.step, step.total);
+        let targets = match prototypes.balance {
             Balance::SinkhornKnopp(iterations) => sinkhorn_knopp(logits, temperature, iterations)?,
             Balance::Centering(_) => {
                 let center = match self.store.parameters().get(name) {
@@ -121,15 +123,18 @@ mod tests {
         let mut centers = Centers::new();
         let balance = Balance::Centering(0.75);
         centers.add("a", 2, balance).unwrap();
+        let prototypes = Prototypes { balance, ..Default::default() };
+        let (views, masks, seen) = (&[], &[], &[]);
+        let step = Step { views, masks, student: seen, teacher: seen, step: 0, total: 1 };
         let logits = |values: &[f32]| {
             Tensor::from_vec(values.to_vec(), (values.len() / 2, 2), &Device::Cpu).unwrap()
         };
         let value = || centers.store().unwrap().parameters()["a"].to_vec1::<f32>().unwrap();
-        let (first, _) = centers.targets("a", &logits(&[4.0, 0.0]), 1.0, balance).unwrap();
+        let (first, _) = centers.targets("a", &logits(&[4.0, 0.0]), &prototypes, &step).unwrap();
         // Two batches of a step: the second still sees the old center.
-        let (second, _) = centers.targets("a", &logits(&[4.0, 0.0]), 1.0, balance).unwrap();
+        let (second, _) = centers.targets("a", &logits(&[4.0, 0.0]), &prototypes, &step).unwrap();
         assert_eq!(first.to_vec2::<f32>().unwrap(), second.to_vec2::<f32>().unwrap());
-        centers.targets("a", &logits(&[1.0, 3.0]), 1.0, balance).unwrap();
+        centers.targets("a", &logits(&[1.0, 3.0]), &prototypes, &step).unwrap();
         assert_eq!(value(), [0.0, 0.0]);
         centers.update().unwrap();
         assert_eq!(value(), [0.75, 0.25]);

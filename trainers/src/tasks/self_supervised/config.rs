@@ -4,44 +4,31 @@ use crate::CosineSchedule;
 use crate::TrainError;
 use crate::error::check_setting;
 use scenesplat_datasets::{MaskShape, Masking};
+use scenesplat_kernels::settings;
 use scenesplat_losses::self_supervised::{Expansion, GaussianDistance, SimDino};
 use serde::{Deserialize, Serialize};
 
-/// Self-supervised training: a sum of terms over views of scenes, with a teacher where a term asks for
-/// one.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields, default)]
-pub struct SelfSupervisedConfig {
-    /// Whether teacher and heads follow the original where we think that it errs.
-    pub compat: Compat,
-    /// Which network becomes the model folder.
-    pub export: Export,
-    /// Momentum of the teacher: after optimizer step `n` it keeps `momentum(n)` of itself.
-    pub momentum: CosineSchedule,
-    /// What the student does not see of global views; `None` (`"none"` in files): all is seen.
-    #[serde(with = "masking_or_none")]
-    pub masking: Option<Masking>,
-    /// Edge of masked patches over the run, metres, in the place of the one in `masking`.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    pub mask_size: Option<CosineSchedule>,
-    /// Share of masked patches over the run, in the place of the one in `masking`.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    pub mask_ratio: Option<CosineSchedule>,
-    /// The terms; each kind at most once.
-    pub terms: Vec<TermConfig>,
-}
-
-impl Default for SelfSupervisedConfig {
-    fn default() -> Self {
-        Self {
-            compat: Compat::None,
-            export: Export::Student,
-            momentum: CosineSchedule::teacher_momentum(),
-            masking: Some(Masking::default()),
-            mask_size: None,
-            mask_ratio: None,
-            terms: Vec::new(),
-        }
+settings! {
+    /// Self-supervised training: a sum of terms over views of scenes, with a teacher where a term asks for
+    /// one.
+    pub struct SelfSupervisedConfig {
+        /// Whether teacher and heads follow the original where we think that it errs.
+        pub compat: Compat = Compat::None,
+        /// Which network becomes the model folder.
+        pub export: Export = Export::Student,
+        /// Momentum of the teacher: after optimizer step `n` it keeps `momentum(n)` of itself.
+        pub momentum: CosineSchedule = CosineSchedule::teacher_momentum(),
+        /// What the student does not see of global views; `None` (`"none"` in files): all is seen.
+        #[serde(with = "masking_or_none")]
+        pub masking: Option<Masking> = Some(Masking::default()),
+        /// Edge of masked patches over the run, metres, in the place of the one in `masking`.
+        #[serde(skip_serializing_if = "Option::is_none")]
+        pub mask_size: Option<CosineSchedule> = None,
+        /// Share of masked patches over the run, in the place of the one in `masking`.
+        #[serde(skip_serializing_if = "Option::is_none")]
+        pub mask_ratio: Option<CosineSchedule> = None,
+        /// The terms; each kind at most once.
+        pub terms: Vec<TermConfig> = Vec::new(),
     }
 }
 
@@ -167,91 +154,6 @@ term_config! {
     LanguageAlignment(LanguageAlignmentTerm) = "language_alignment";
 }
 
-/// Masked Gaussian modelling.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields, default)]
-pub struct MaskedGaussiansTerm {
-    /// Weight in the loss.
-    pub weight: f64,
-    /// How far a reconstruction is from the Gaussian. `fitted` compares logarithms of sizes.
-    pub distance: GaussianDistance,
-}
-
-impl Default for MaskedGaussiansTerm {
-    fn default() -> Self {
-        Self { weight: 1.0, distance: GaussianDistance::MeanSquare }
-    }
-}
-
-/// SimDINO.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields, default)]
-pub struct SimDinoTerm {
-    /// Weight in the loss.
-    pub weight: f64,
-    /// Width inside of the head.
-    pub hidden: usize,
-    /// Width of the vectors.
-    pub out: usize,
-    /// Weight of the compression beside the coding rate.
-    pub coefficient: f64,
-    /// Distortion of the coding rate, above 0.
-    pub epsilon: f64,
-    /// Whose vectors are kept apart.
-    pub expansion: Expansion,
-}
-
-impl Default for SimDinoTerm {
-    fn default() -> Self {
-        Self {
-            weight: 1.0,
-            hidden: 2048,
-            out: 256,
-            coefficient: 0.1,
-            epsilon: 0.05,
-            expansion: Expansion::StudentAndTeacher,
-        }
-    }
-}
-
-impl SimDinoTerm {
-    pub(super) fn settings(&self) -> SimDino {
-        let Self { coefficient, epsilon, expansion, .. } = *self;
-        SimDino { coefficient, epsilon, expansion, normalized: true }
-    }
-}
-
-/// Distributions over prototypes.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields, default)]
-pub struct Prototypes {
-    /// How many.
-    pub count: usize,
-    /// Width inside of the head.
-    pub hidden: usize,
-    /// Width of the rows that prototypes are compared with.
-    pub out: usize,
-    /// Temperature of the student.
-    pub student_temperature: f64,
-    /// Temperature of the teacher over the run.
-    pub teacher_temperature: CosineSchedule,
-    /// What prevents that one prototype takes all rows.
-    pub balance: Balance,
-}
-
-impl Default for Prototypes {
-    fn default() -> Self {
-        Self {
-            count: 1024,
-            hidden: 2048,
-            out: 256,
-            student_temperature: 0.1,
-            teacher_temperature: CosineSchedule::teacher_temperature(),
-            balance: Balance::SinkhornKnopp(3),
-        }
-    }
-}
-
 /// What prevents that one prototype takes all rows.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
@@ -262,86 +164,137 @@ pub enum Balance {
     SinkhornKnopp(usize),
 }
 
-/// DINO.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields, default)]
-pub struct DinoTerm {
-    /// Weight in the loss.
-    pub weight: f64,
-    /// The distributions.
-    pub prototypes: Prototypes,
-}
-
-impl Default for DinoTerm {
-    fn default() -> Self {
-        Self { weight: 1.0, prototypes: Prototypes::default() }
+settings! {
+    /// Masked Gaussian modelling.
+    pub struct MaskedGaussiansTerm {
+        /// Weight in the loss.
+        pub weight: f64 = 1.0,
+        /// How far a reconstruction is from the Gaussian. `fitted` compares logarithms of sizes.
+        pub distance: GaussianDistance = GaussianDistance::MeanSquare,
     }
-}
 
-/// iBOT as the original computes it.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields, default)]
-pub struct IbotTerm {
-    /// Weight in the loss.
-    pub weight: f64,
-    /// Width inside of the head.
-    pub hidden: usize,
-    /// Width of the rows that are compared.
-    pub out: usize,
-}
-
-impl Default for IbotTerm {
-    fn default() -> Self {
-        Self { weight: 1.0, hidden: 256, out: 32 }
+    /// SimDINO.
+    pub struct SimDinoTerm {
+        /// Weight in the loss.
+        pub weight: f64 = 1.0,
+        /// Width inside of the head.
+        pub hidden: usize = 2048,
+        /// Width of the vectors.
+        pub out: usize = 256,
+        /// Weight of the compression beside the coding rate.
+        pub coefficient: f64 = 0.1,
+        /// Distortion of the coding rate, above 0.
+        pub epsilon: f64 = 0.05,
+        /// Whose vectors are kept apart.
+        pub expansion: Expansion = Expansion::StudentAndTeacher,
     }
-}
 
-/// iBOT as it is named.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields, default)]
-pub struct IbotCrossEntropyTerm {
-    /// Weight in the loss.
-    pub weight: f64,
-    /// The distributions.
-    pub prototypes: Prototypes,
-}
-
-impl Default for IbotCrossEntropyTerm {
-    fn default() -> Self {
-        let prototypes = Prototypes { hidden: 256, out: 32, ..Prototypes::default() };
-        Self { weight: 1.0, prototypes }
+    /// Distributions over prototypes.
+    pub struct Prototypes {
+        /// How many.
+        pub count: usize = 1024,
+        /// Width inside of the head.
+        pub hidden: usize = 2048,
+        /// Width of the rows that prototypes are compared with.
+        pub out: usize = 256,
+        /// Temperature of the student.
+        pub student_temperature: f64 = 0.1,
+        /// Temperature of the teacher over the run.
+        pub teacher_temperature: CosineSchedule = CosineSchedule::teacher_temperature(),
+        /// What prevents that one prototype takes all rows.
+        pub balance: Balance = Balance::SinkhornKnopp(3),
     }
-}
 
-/// Self-distillation of rows, after Sonata.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields, default)]
-pub struct SelfDistillationTerm {
-    /// Weight in the loss.
-    pub weight: f64,
-    /// The distributions.
-    pub prototypes: Prototypes,
-    /// How many scales above the coarsest one the rows are compared at, with all coarser scales beside
-    /// them.
-    pub up_cast: usize,
-    /// Largest distance of matched rows, by their places before augmentation, metres.
-    pub max_distance: f64,
-    /// Shares of masked views against the teacher's same view, against its other views, and of local
-    /// views against its first view.
-    pub shares: [f64; 3],
-}
+    /// DINO.
+    pub struct DinoTerm {
+        /// Weight in the loss.
+        pub weight: f64 = 1.0,
+        /// The distributions.
+        pub prototypes: Prototypes = Prototypes::default(),
+    }
 
-impl Default for SelfDistillationTerm {
-    fn default() -> Self {
-        let temperature = CosineSchedule { warmup: 0.05, warmup_from: 0.04, from: 0.07, to: 0.07 };
-        let prototypes = Prototypes {
+    /// iBOT as the original computes it.
+    pub struct IbotTerm {
+        /// Weight in the loss.
+        pub weight: f64 = 1.0,
+        /// Width inside of the head.
+        pub hidden: usize = 256,
+        /// Width of the rows that are compared.
+        pub out: usize = 32,
+    }
+
+    /// iBOT as it is named.
+    pub struct IbotCrossEntropyTerm {
+        /// Weight in the loss.
+        pub weight: f64 = 1.0,
+        /// The distributions.
+        pub prototypes: Prototypes = Prototypes { hidden: 256, out: 32, ..Prototypes::default() },
+    }
+
+    /// Self-distillation of rows, after Sonata.
+    pub struct SelfDistillationTerm {
+        /// Weight in the loss.
+        pub weight: f64 = 1.0,
+        /// The distributions.
+        pub prototypes: Prototypes = Prototypes {
             count: 4096,
             hidden: 4096,
-            teacher_temperature: temperature,
+            teacher_temperature: CosineSchedule { warmup: 0.05, ..CosineSchedule::teacher_temperature() },
             ..Prototypes::default()
-        };
-        let MatchedRows { up_cast, max_distance, shares } = MatchedRows::default();
-        Self { weight: 1.0, prototypes, up_cast, max_distance, shares }
+        },
+        /// How many scales above the coarsest one the rows are compared at, with all coarser scales beside
+        /// them.
+        pub up_cast: usize = MatchedRows::default().up_cast,
+        /// Largest distance of matched rows, by their places before augmentation, metres.
+        pub max_distance: f64 = MatchedRows::default().max_distance,
+        /// Shares of masked views against the teacher's same view, against its other views, and of local
+        /// views against its first view.
+        pub shares: [f64; 3] = MatchedRows::default().shares,
+    }
+
+    /// SimDINO of rows of a coarse scale.
+    pub struct SimDinoRowsTerm {
+        /// Weight in the loss.
+        pub weight: f64 = 1.0,
+        /// Width inside of the head.
+        pub hidden: usize = 512,
+        /// Width of the vectors.
+        pub out: usize = 128,
+        /// Weight of the compression beside the coding rate.
+        pub coefficient: f64 = 1.0,
+        /// Distortion of the coding rate, above 0.
+        pub epsilon: f64 = 0.05,
+        /// Whose vectors are kept apart.
+        pub expansion: Expansion = Expansion::StudentAndTeacher,
+        /// Most rows of a pair of views that are compared, evenly along the curve through them.
+        pub max_rows: usize = 1024,
+        /// How many scales above the coarsest one the rows are compared at, with all coarser scales beside
+        /// them.
+        pub up_cast: usize = MatchedRows::default().up_cast,
+        /// Largest distance of matched rows, by their places before augmentation, metres.
+        pub max_distance: f64 = MatchedRows::default().max_distance,
+        /// Shares of masked views against the teacher's same view, against its other views, and of local
+        /// views against its first view.
+        pub shares: [f64; 3] = MatchedRows::default().shares,
+    }
+
+    /// Language alignment: cosine and square distance to the scenes' features.
+    pub struct LanguageAlignmentTerm {
+        /// Weight in the loss.
+        pub weight: f64 = 1.0,
+        /// Width of the features: that of the scenes' `lang_feat`.
+        pub out: usize = 16,
+        /// Width inside of the head.
+        pub hidden: usize = 32,
+        /// Whether only masked Gaussians count, as beside masked Gaussian modelling in the paper.
+        pub masked_only: bool = true,
+    }
+}
+
+impl SimDinoTerm {
+    pub(super) fn settings(&self) -> SimDino {
+        let Self { coefficient, epsilon, expansion, .. } = *self;
+        SimDino { coefficient, epsilon, expansion, normalized: true }
     }
 }
 
@@ -349,52 +302,6 @@ impl SelfDistillationTerm {
     pub(super) fn matching(&self) -> MatchedRows {
         let Self { up_cast, max_distance, shares, .. } = *self;
         MatchedRows { up_cast, max_distance, shares }
-    }
-}
-
-/// SimDINO of rows of a coarse scale.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields, default)]
-pub struct SimDinoRowsTerm {
-    /// Weight in the loss.
-    pub weight: f64,
-    /// Width inside of the head.
-    pub hidden: usize,
-    /// Width of the vectors.
-    pub out: usize,
-    /// Weight of the compression beside the coding rate.
-    pub coefficient: f64,
-    /// Distortion of the coding rate, above 0.
-    pub epsilon: f64,
-    /// Whose vectors are kept apart.
-    pub expansion: Expansion,
-    /// Most rows of a pair of views that are compared, evenly along the curve through them.
-    pub max_rows: usize,
-    /// How many scales above the coarsest one the rows are compared at, with all coarser scales beside
-    /// them.
-    pub up_cast: usize,
-    /// Largest distance of matched rows, by their places before augmentation, metres.
-    pub max_distance: f64,
-    /// Shares of masked views against the teacher's same view, against its other views, and of local
-    /// views against its first view.
-    pub shares: [f64; 3],
-}
-
-impl Default for SimDinoRowsTerm {
-    fn default() -> Self {
-        let MatchedRows { up_cast, max_distance, shares } = MatchedRows::default();
-        Self {
-            weight: 1.0,
-            hidden: 512,
-            out: 128,
-            coefficient: 1.0,
-            epsilon: 0.05,
-            expansion: Expansion::StudentAndTeacher,
-            max_rows: 1024,
-            up_cast,
-            max_distance,
-            shares,
-        }
     }
 }
 
@@ -431,26 +338,6 @@ impl MatchedRows {
             check_setting("shares", share, share.is_finite() && share >= 0.0, "0 or more")?;
         }
         above("shares", self.shares.iter().sum())
-    }
-}
-
-/// Language alignment: cosine and square distance to the scenes' features.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields, default)]
-pub struct LanguageAlignmentTerm {
-    /// Weight in the loss.
-    pub weight: f64,
-    /// Width of the features: that of the scenes' `lang_feat`.
-    pub out: usize,
-    /// Width inside of the head.
-    pub hidden: usize,
-    /// Whether only masked Gaussians count, as beside masked Gaussian modelling in the paper.
-    pub masked_only: bool,
-}
-
-impl Default for LanguageAlignmentTerm {
-    fn default() -> Self {
-        Self { weight: 1.0, out: 16, hidden: 32, masked_only: true }
     }
 }
 

@@ -81,8 +81,7 @@ impl<'a, F: Fn(&Seen, bool) -> Result<Tensor>> Outputs<'a, F> {
 /// The teacher's distribution over prototypes.
 pub(super) fn self_distillation(
     term: &SelfDistillationTerm,
-    own: &Head,
-    other: &Head,
+    [own, other]: [&Head; 2],
     step: &Step<'_>,
     centers: &Centers,
 ) -> Result<TermOutput> {
@@ -102,9 +101,7 @@ pub(super) fn self_distillation(
         let teacher = teachers.rows(with, is_local, partners)?.detach();
         let prototypes = &term.prototypes;
         let name = format!("self_distillation.{}", if is_local { "local" } else { "masked" });
-        let temperature = step.temperature(prototypes);
-        let (targets, evenness) =
-            centers.targets(&name, &teacher, temperature, prototypes.balance)?;
+        let (targets, evenness) = centers.targets(&name, &teacher, prototypes, step)?;
         even.push(evenness);
         let cost =
             masked_cross_entropy(&student, &targets, &weights, prototypes.student_temperature)?;
@@ -122,8 +119,7 @@ pub(super) fn self_distillation(
 /// The teacher's direction, and a coding rate that keeps rows apart.
 pub(super) fn sim_dino_rows_term(
     term: &SimDinoRowsTerm,
-    own: &Head,
-    other: &Head,
+    [own, other]: [&Head; 2],
     step: &Step<'_>,
 ) -> Result<TermOutput> {
     let scales = step.student.first().map_or(0, |seen| seen.levels.encoder().len());

@@ -1,6 +1,5 @@
 //! What the terms of a step read, and what each gives.
 
-use super::config::Prototypes;
 use candle_core::{Device, Result, Tensor, bail};
 use scenesplat_datasets::{Masked, View};
 use scenesplat_models::{Levels, scene_means};
@@ -75,10 +74,6 @@ pub(super) struct Step<'a> {
 }
 
 impl Step<'_> {
-    pub fn temperature(&self, prototypes: &Prototypes) -> f64 {
-        prototypes.teacher_temperature.value(self.step, self.total)
-    }
-
     /// Views with masked rows: number, rows, weights.
     pub fn masked(&self) -> Result<Vec<(usize, Tensor, Vec<f64>)>> {
         let mut all = Vec::new();

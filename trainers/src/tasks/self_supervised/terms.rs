@@ -32,29 +32,23 @@ impl Terms {
     /// The terms with what each gives for a step.
     pub fn outputs(&self, step: &Step<'_>) -> Result<Vec<(&TermConfig, TermOutput)>> {
         let terms = self.terms.iter().zip(self.student.iter().zip(&self.teacher));
-        terms.map(|(term, (own, other))| Ok((term, self.output(term, own, other, step)?))).collect()
+        terms
+            .map(|(term, (own, other))| Ok((term, self.output(term, [own, other], step)?)))
+            .collect()
     }
 
-    fn output(
-        &self,
-        term: &TermConfig,
-        own: &Head,
-        other: &Head,
-        step: &Step<'_>,
-    ) -> Result<TermOutput> {
+    fn output(&self, term: &TermConfig, heads: [&Head; 2], step: &Step<'_>) -> Result<TermOutput> {
         match term {
-            TermConfig::MaskedGaussians(t) => self.masked_gaussians(t, own, step),
-            TermConfig::SimDino(t) => sim_dino_term(t, own, other, step),
-            TermConfig::Dino(t) => self.dino(&t.prototypes, own, other, step),
-            TermConfig::Ibot(_) => ibot(own, other, step),
-            TermConfig::IbotCrossEntropy(t) => {
-                self.ibot_cross_entropy(&t.prototypes, own, other, step)
-            }
+            TermConfig::MaskedGaussians(t) => self.masked_gaussians(t, heads[0], step),
+            TermConfig::SimDino(t) => sim_dino_term(t, heads, step),
+            TermConfig::Dino(t) => self.dino(&t.prototypes, heads, step),
+            TermConfig::Ibot(_) => ibot(heads, step),
+            TermConfig::IbotCrossEntropy(t) => self.ibot_cross_entropy(&t.prototypes, heads, step),
             TermConfig::SelfDistillation(t) => {
-                matched_terms::self_distillation(t, own, other, step, &self.centers)
+                matched_terms::self_distillation(t, heads, step, &self.centers)
             }
-            TermConfig::SimDinoRows(t) => matched_terms::sim_dino_rows_term(t, own, other, step),
-            TermConfig::LanguageAlignment(t) => alignment(t, own, step),
+            TermConfig::SimDinoRows(t) => matched_terms::sim_dino_rows_term(t, heads, step),
+            TermConfig::LanguageAlignment(t) => alignment(t, heads[0], step),
         }
     }
 
@@ -112,20 +106,14 @@ impl Terms {
     fn dino(
         &self,
         prototypes: &Prototypes,
-        own: &Head,
-        other: &Head,
+        [own, other]: [&Head; 2],
         step: &Step<'_>,
     ) -> Result<TermOutput> {
         let student = stacked(own, step.student)?;
         let teacher = stacked(other, step.teacher)?.detach();
         let (t, b, k) = teacher.dims3()?;
-        let temperature = step.temperature(prototypes);
-        let (targets, even) = self.centers.targets(
-            "dino",
-            &teacher.reshape((t * b, k))?,
-            temperature,
-            prototypes.balance,
-        )?;
+        let rows = teacher.reshape((t * b, k))?;
+        let (targets, even) = self.centers.targets("dino", &rows, prototypes, step)?;
         let targets = targets.reshape((t, b, k))?;
         let value = view_cross_entropy(&student, &targets, prototypes.student_temperature, false)?;
         let pairs = (t * step.student.len() - t).max(1) as f64;
@@ -136,20 +124,14 @@ impl Terms {
     fn ibot_cross_entropy(
         &self,
         prototypes: &Prototypes,
-        own: &Head,
-        other: &Head,
+        heads: [&Head; 2],
         step: &Step<'_>,
     ) -> Result<TermOutput> {
-        let Some((student, teacher, weights)) = masked_pairs(own, other, step)? else {
+        let Some((student, teacher, weights)) = masked_pairs(heads, step)? else {
             return Ok(TermOutput::default());
         };
-        let temperature = step.temperature(prototypes);
-        let (targets, even) = self.centers.targets(
-            "ibot_cross_entropy",
-            &teacher,
-            temperature,
-            prototypes.balance,
-        )?;
+        let name = "ibot_cross_entropy";
+        let (targets, even) = self.centers.targets(name, &teacher, prototypes, step)?;
         // Of views and scenes, which each weigh about 1 where Gaussians share a patch's weight.
         let sum: f64 = weights.iter().sum();
         let weights: Vec<f64> = weights.iter().map(|w| w / sum).collect();
@@ -167,8 +149,7 @@ fn stacked(head: &Head, seen: &[Seen]) -> Result<Tensor> {
 
 fn sim_dino_term(
     term: &SimDinoTerm,
-    own: &Head,
-    other: &Head,
+    [own, other]: [&Head; 2],
     step: &Step<'_>,
 ) -> Result<TermOutput> {
     let student = stacked(own, step.student)?;
@@ -187,8 +168,7 @@ fn sim_dino_term(
 
 /// Both heads' rows of the masked rows of all views, with their weights.
 fn masked_pairs(
-    own: &Head,
-    other: &Head,
+    [own, other]: [&Head; 2],
     step: &Step<'_>,
 ) -> Result<Option<(Tensor, Tensor, Vec<f64>)>> {
     let (mut student, mut teacher, mut all) = (Vec::new(), Vec::new(), Vec::new());
@@ -205,8 +185,8 @@ fn masked_pairs(
     Ok(Some((student, teacher, all)))
 }
 
-fn ibot(own: &Head, other: &Head, step: &Step<'_>) -> Result<TermOutput> {
-    let Some((student, teacher, weights)) = masked_pairs(own, other, step)? else {
+fn ibot(heads: [&Head; 2], step: &Step<'_>) -> Result<TermOutput> {
+    let Some((student, teacher, weights)) = masked_pairs(heads, step)? else {
         return Ok(TermOutput::default());
     };
     let value = masked_cosine(&student, &teacher, &weights)?;

@@ -98,21 +98,10 @@ impl Reference<'_> {
         for stage in 0..channels.len() {
             let name = format!("enc.enc{stage}");
             if stage > 0 {
-                let stride = c.stride[stage - 1] as i32;
-                let cell = |(scene, v): &(usize, [i32; 3])| (*scene, v.map(|v| v / stride));
-                let mut coarse: Vec<_> = rows.cells.iter().map(cell).collect();
-                let members = coarse.clone();
-                coarse.sort_unstable();
-                coarse.dedup();
-                let of: Vec<usize> =
-                    members.iter().map(|m| coarse.binary_search(m).unwrap()).collect();
-                let (i, o) = (channels[stage - 1], channels[stage]);
-                let wide = self.linear(&x, i, o, &format!("{name}.down.proj"));
-                let most = largest(&wide, o, &of, coarse.len());
-                let pooled = self.norm_gelu(&most, o, &format!("{name}.down.norm.0"));
+                let (coarse, pooled, of) = self.pooled(&x, &rows, stage);
                 let next = self.permutation(stage, &mut attending);
                 finer.push((
-                    std::mem::replace(&mut rows, Rows::new(coarse)),
+                    std::mem::replace(&mut rows, coarse),
                     std::mem::replace(&mut x, pooled),
                     of,
                     std::mem::replace(&mut permutation, next),
@@ -144,6 +133,23 @@ impl Reference<'_> {
             below = o;
         }
         x
+    }
+
+    /// The cells of a stage, their rows, and the cell of each row of the stage before.
+    fn pooled(&self, x: &[f64], rows: &Rows, stage: usize) -> (Rows, Vec<f64>, Vec<usize>) {
+        let c = self.config;
+        let stride = c.stride[stage - 1] as i32;
+        let cell = |(scene, v): &(usize, [i32; 3])| (*scene, v.map(|v| v / stride));
+        let mut coarse: Vec<_> = rows.cells.iter().map(cell).collect();
+        let members = coarse.clone();
+        coarse.sort_unstable();
+        coarse.dedup();
+        let of: Vec<usize> = members.iter().map(|m| coarse.binary_search(m).unwrap()).collect();
+        let (i, o) = (c.enc_channels[stage - 1], c.enc_channels[stage]);
+        let wide = self.linear(x, i, o, &format!("enc.enc{stage}.down.proj"));
+        let most = largest(&wide, o, &of, coarse.len());
+        let pooled = self.norm_gelu(&most, o, &format!("enc.enc{stage}.down.norm.0"));
+        (Rows::new(coarse), pooled, of)
     }
 
     fn blocks(
