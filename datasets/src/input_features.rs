@@ -64,7 +64,7 @@ pub enum Orientation {
     Drawn,
 }
 
-settings! {
+scenesplat_kernels::settings! {
     /// Which channels the network reads, in order, how orientations are written and how scales are limited.
     ///
     /// The default is the input of the language networks: color, opacity, quat, scale (11 channels)

@@ -11,9 +11,6 @@
 //! Plain arrays: no tensor library, no device. Everything is a function of its arguments and a
 //! seed; the number of threads never changes a result.
 
-#[macro_use]
-mod settings;
-
 pub mod chunking;
 pub mod dataset;
 pub mod effects;

@@ -82,7 +82,7 @@ pub enum BrokenScenes {
     Skip,
 }
 
-settings! {
+scenesplat_kernels::settings! {
     /// How scenes become batches. The default is the original's training, for one process.
     pub struct LoaderSettings {
         /// Scenes of a batch, before some are mixed.

@@ -32,7 +32,7 @@ pub enum MaskWeight {
     PerGaussian,
 }
 
-settings! {
+scenesplat_kernels::settings! {
     /// How a batch is masked. The default is the original's, with patches of 5 cm.
     #[derive(Copy)]
     pub struct Masking {

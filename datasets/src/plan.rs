@@ -53,7 +53,7 @@ impl NetworkInput {
     }
 }
 
-settings! {
+scenesplat_kernels::settings! {
     /// One pass, one Gaussian per voxel.
     pub struct FastPlan {
         /// Voxel size, metres.
@@ -79,7 +79,7 @@ pub enum Representative {
     },
 }
 
-settings! {
+scenesplat_kernels::settings! {
     /// The steps of the original system.
     pub struct ExactPlan {
         /// Size of the fine voxels that keep one Gaussian each, metres.

@@ -7,7 +7,7 @@ use crate::error::require;
 use crate::files::picked;
 use crate::{DataError, NetworkInput};
 
-settings! {
+scenesplat_kernels::settings! {
     /// How pieces are cut.
     #[derive(Eq)]
     pub struct TileSettings {

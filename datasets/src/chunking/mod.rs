@@ -16,7 +16,7 @@ pub use write::ChunkReport;
 use crate::DataError;
 use crate::error::{check_positive, require};
 
-settings! {
+scenesplat_kernels::settings! {
     /// How scenes are cut. The default is what the original's chunks are made with.
     pub struct ChunkSettings {
         /// Keeps one Gaussian in each cell of this size first, metres; `None` keeps all.

@@ -2,7 +2,7 @@
 
 use crate::{DataError, Sample, SampleRng, Transform};
 
-settings! {
+scenesplat_kernels::settings! {
     /// Moves the middle of the bounding box to x = y = 0 and, if wanted, its floor to z = 0.
     ///
     /// In f32, as the original and as [`center_shift`](crate::plan::center_shift), so that training and

@@ -4,7 +4,7 @@ use crate::error::{check_positive, check_probability};
 use crate::rng::{between, happens, normals, unit};
 use crate::{DataError, Sample, SampleRng, Transform};
 
-settings! {
+scenesplat_kernels::settings! {
     /// With `probability`, stretches each color channel to 0..255 and blends the result with the old
     /// colors: `(1 − b)·c + b·(c − low)·255/(high − low)`, `b` uniform in 0..1.
     ///
@@ -46,7 +46,7 @@ impl Transform for ChromaticAutoContrast {
     }
 }
 
-settings! {
+scenesplat_kernels::settings! {
     /// With `probability`, adds one uniform offset to each color channel; the result is clipped to
     /// 0..=255.
     ///
@@ -80,7 +80,7 @@ impl Transform for ChromaticTranslation {
     }
 }
 
-settings! {
+scenesplat_kernels::settings! {
     /// With `probability`, adds a normal number to every color value; the result is clipped to 0..=255.
     ///
     /// # Source

@@ -5,7 +5,7 @@ use crate::error::{check_probability, require};
 use crate::rng::{between, happens, permutation};
 use crate::{DataError, Sample, SampleRng, Transform};
 
-settings! {
+scenesplat_kernels::settings! {
     /// Changes brightness, contrast, saturation and hue of the whole sample, in a random order, each with
     /// `probability`; results are clipped to 0..=255.
     ///
@@ -108,7 +108,7 @@ impl Transform for ColorJitter {
     }
 }
 
-settings! {
+scenesplat_kernels::settings! {
     /// With `probability`, replaces every color by its gray.
     ///
     /// # Source
@@ -133,7 +133,7 @@ impl Transform for RandomGrayscale {
     }
 }
 
-settings! {
+scenesplat_kernels::settings! {
     /// With `probability`, turns every color value of `threshold` or more into its negative, `255 − c`.
     ///
     /// # Source

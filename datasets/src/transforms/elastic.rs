@@ -10,7 +10,7 @@ use deform::{Matrix, deform_gaussian, deform_normal};
 use field::Field;
 use rayon::prelude::*;
 
-settings! {
+scenesplat_kernels::settings! {
     /// With `probability`, bends the scene by smooth random displacement fields, one after the other.
     ///
     /// A field is normal noise on a grid, smoothed twice by a mean of three along each axis (with zeros

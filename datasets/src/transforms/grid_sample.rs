@@ -20,7 +20,7 @@ pub enum Keep {
     First,
 }
 
-settings! {
+scenesplat_kernels::settings! {
     /// Keeps one Gaussian of every cell and fills `grid_coord`, the lowest cell of each axis being 0.
     /// Cells come along a z-order curve.
     ///

@@ -3,7 +3,7 @@
 use crate::error::{check_positive, require};
 use crate::{DataError, Sample, SampleRng, Transform};
 
-settings! {
+scenesplat_kernels::settings! {
     /// Shrinks a scene and limits its values, as the original's scene loaders do on reading.
     ///
     /// The default changes nothing. Limits of the network's input are in

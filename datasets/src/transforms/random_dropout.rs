@@ -4,7 +4,7 @@ use crate::error::{check_probability, require};
 use crate::rng::{below, happens};
 use crate::{DataError, Sample, SampleRng, Transform};
 
-settings! {
+scenesplat_kernels::settings! {
     /// With `probability`, leaves out `ratio` of the Gaussians, at random.
     ///
     /// # Source

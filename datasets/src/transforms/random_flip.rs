@@ -5,7 +5,7 @@ use crate::error::check_probability;
 use crate::rng::happens;
 use crate::{DataError, Sample, SampleRng, Transform};
 
-settings! {
+scenesplat_kernels::settings! {
     /// Mirrors x, and mirrors y, each with `probability`: positions, orientations, normals, labelled
     /// points.
     ///

@@ -4,7 +4,7 @@ use crate::error::check_positive;
 use crate::rng::normals;
 use crate::{DataError, Sample, SampleRng, Transform};
 
-settings! {
+scenesplat_kernels::settings! {
     /// Moves every centre by independent normal numbers, cut at `clip`. The Gaussians move as they are,
     /// so sizes and orientations stay; labelled points, which are no Gaussians, stay too.
     ///

@@ -33,7 +33,7 @@ pub enum RotationCenter {
     Point([f32; 3]),
 }
 
-settings! {
+scenesplat_kernels::settings! {
     /// With `probability`, turns the scene by a uniform angle: positions, orientations, normals,
     /// labelled points.
     ///
@@ -71,7 +71,7 @@ impl Transform for RandomRotate {
     }
 }
 
-settings! {
+scenesplat_kernels::settings! {
     /// With `probability`, turns the scene by one of the given angles; as [`RandomRotate`] otherwise.
     ///
     /// # Source

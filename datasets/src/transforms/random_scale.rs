@@ -4,7 +4,7 @@ use crate::error::{check_positive, check_range};
 use crate::rng::between;
 use crate::{DataError, Sample, SampleRng, Transform};
 
-settings! {
+scenesplat_kernels::settings! {
     /// Multiplies positions, sizes and labelled points by one uniform factor.
     ///
     /// # Source

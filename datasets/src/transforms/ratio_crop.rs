@@ -5,7 +5,7 @@ use crate::error::{check_shares, require};
 use crate::rng::{below, between};
 use crate::{DataError, Sample, SampleRng, Transform};
 
-settings! {
+scenesplat_kernels::settings! {
     /// Keeps the Gaussians nearest to a random one: a share of `point_max`, drawn evenly between two
     /// bounds, and never more than there are.
     ///

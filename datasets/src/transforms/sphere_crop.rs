@@ -17,7 +17,7 @@ pub enum CropCenter {
     Middle,
 }
 
-settings! {
+scenesplat_kernels::settings! {
     /// Keeps the `point_max` Gaussians nearest to a centre, if there are more. Cells keep the origin they
     /// had.
     ///

@@ -10,7 +10,7 @@ use std::collections::HashMap;
 /// Reach of the filter in standard deviations.
 const TRUNCATE: f64 = 2.0;
 
-settings! {
+scenesplat_kernels::settings! {
     /// With `probability`, blurs color, size, orientation and opacity over the voxels around: each takes
     /// the mean of those of opaque Gaussians nearby, weighted by a Gaussian of their distance in voxels.
     ///
