@@ -11,7 +11,7 @@ use scenesplat::scene::RepairReport;
 use scenesplat::scene::gaussian_scene::SH_C0;
 use std::sync::Arc;
 
-/// Flat checkerboards, a class for each of the two colours.
+/// Flat checkerboards, a class for each of the two colors.
 struct Boards(Vec<String>);
 
 impl DataSource for Boards {

@@ -1,6 +1,6 @@
-//! Writes a synthetic room as PLY with previews in colours and in classes:
+//! Writes a synthetic room as PLY with previews in colors and in classes:
 //! `cargo run --release --example synthetic_room -- 7 room 4000` writes `room.ply`, `room.png` and
-//! `room.classes.png` of room 7, with 4000 Gaussians per square metre.
+//! `room.classes.png` of room 7, with 4000 Gaussians per square meter.
 
 use anyhow::Context;
 use scenesplat::preview::{

@@ -1,4 +1,4 @@
-//! What is done to a scene before a network reads it: networks know rooms with +z up, in metres.
+//! What is done to a scene before a network reads it: networks know rooms with +z up, in meters.
 //!
 //! A room that lies on its side loses most labels, and nothing in its file says how it lies. So up
 //! and unit are estimated (as [`inspect`](crate::inspect::inspect) does); where the evidence suffices, a copy is
@@ -36,7 +36,7 @@ const SHARPER: f64 = 1.05;
 /// Walls are brought along the axes from so many degrees on.
 const LEAST_YAW: f64 = 2.0;
 
-/// Heights of rooms, metres; a closed room outside them is in another unit, and read as one of the
+/// Heights of rooms, meters; a closed room outside them is in another unit, and read as one of the
 /// usual height.
 const ROOM_HEIGHTS: [f64; 2] = [1.8, 4.3];
 /// The lower one where walls end at one height all around: they were not cut off by the capture.
@@ -48,7 +48,7 @@ const USUAL_HEIGHT: f64 = 2.6;
 pub struct AlignmentSettings {
     /// Which way is up; estimated if not given.
     pub up: Option<UpAxis>,
-    /// What one unit of the scene is, metres; estimated if not given. Finite, above 0.
+    /// What one unit of the scene is, meters; estimated if not given. Finite, above 0.
     pub metres_per_unit: Option<f64>,
     /// Height of the floor along up, units of the scene (once level); looked for if not given. Finite.
     pub floor: Option<f64>,
@@ -63,17 +63,17 @@ pub struct AlignmentSettings {
 pub struct Alignment {
     /// Which way is up in the scene.
     pub up: UpGuess,
-    /// What one unit is, where it is not clearly a metre.
+    /// What one unit is, where it is not clearly a meter.
     pub unit: Option<UnitGuess>,
     /// The direction that is turned to +z; +z for none.
     pub turned_from: UpAxis,
-    /// Factor that brings the scene to metres; 1 for none.
+    /// Factor that brings the scene to meters; 1 for none.
     pub scale: f64,
     /// Degrees by which the floor was out of level, after the turn; 0 if nothing was done about it.
     pub tilt: f64,
     /// Degrees by which the walls were off the axes, after that; 0 if nothing was done about it.
     pub yaw: f64,
-    /// Floors of the scene as the network reads it, metres.
+    /// Floors of the scene as the network reads it, meters.
     pub floors: Floors,
     /// All turns together.
     #[serde(skip)]
@@ -103,7 +103,7 @@ pub enum Remark {
     },
     /// A copy is read that is as high as rooms are.
     ScaledToRoom {
-        /// Metres per unit.
+        /// Meters per unit.
         by: f64,
         /// Height of its walls, units.
         height: f64,
@@ -117,10 +117,10 @@ pub enum Remark {
     },
     /// A scaled copy is read.
     Scaled {
-        /// Metres per unit.
+        /// Meters per unit.
         by: f64,
     },
-    /// The unit seems to be another one; the scene is read as if it were the metre.
+    /// The unit seems to be another one; the scene is read as if it were the meter.
     UnitUnclear {
         /// The likeliest unit.
         likely: LengthUnit,
@@ -245,7 +245,7 @@ impl Alignment {
         if walls.closed < 4 || !walls.is_clear() || extent <= 0.0 || is_room(extent) {
             return;
         }
-        // Floors are looked for in metres, so first as if the extent were that of a room.
+        // Floors are looked for in meters, so first as if the extent were that of a room.
         let scaled = |by: f64, sample: &GaussianScene| {
             let mut scaled = sample.clone();
             scaled.transform(&Similarity { scale: by, ..Similarity::IDENTITY });

@@ -21,7 +21,7 @@ pub struct Calibration {
     pub temperature: f32,
     /// Expected calibration error at this temperature, on other rooms than it was fitted on, 0..=1.
     pub ece: f64,
-    /// Of each class, how much surface (square metres) 19 in 20 of its things have more than, in rooms and flats.
+    /// Of each class, how much surface (square meters) 19 in 20 of its things have more than, in rooms and flats.
     pub surface: BTreeMap<String, f64>,
 }
 
@@ -65,7 +65,7 @@ impl Calibration {
         Ok(Some(found))
     }
 
-    /// Least surface of a piece of each class, square metres; 0 for names that it does not know. `[names]`
+    /// Least surface of a piece of each class, square meters; 0 for names that it does not know. `[names]`
     pub fn least_area(&self, names: &[String]) -> Vec<f64> {
         names
             .iter()

@@ -23,7 +23,7 @@ pub struct EvaluationSettings {
     pub excluded: Vec<usize>,
     /// Which classes compete, and when none wins.
     pub options: ZeroShotOptions,
-    /// Neighbours that vote on each label; below 2 none do, but where labelled points are scored one
+    /// Neighbors that vote on each label; below 2 none do, but where labeled points are scored one
     /// does.
     pub vote_k: usize,
     /// Lets only Gaussians vote that have a collected language feature, as the original does.
@@ -143,7 +143,7 @@ impl<'a> Evaluation<'a> {
     /// none; without it, labels are rows of the texts.
     ///
     /// # Errors
-    /// If nothing is labelled, a label stands for nothing, or the scene does not say who votes.
+    /// If nothing is labeled, a label stands for nothing, or the scene does not say who votes.
     pub fn truth<'s>(
         &self,
         scene: &'s GaussianScene,

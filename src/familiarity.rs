@@ -2,7 +2,7 @@
 //!
 //! A closed-set network answers whatever it is shown: a bicycle is a "sofa", a garden a "bed", and the cosines of such
 //! answers are as high as those of right ones. Where the features lie says more: their distance to the nearest of some
-//! centres of features of rooms, measured in the spread that features have around their centres (the Mahalanobis
+//! centers of features of rooms, measured in the spread that features have around their centers (the Mahalanobis
 //! distance to the nearest of several means with one covariance). One figure for a scene: the median over its rows.
 
 use crate::inference::{EncodeError, SceneFeatures};
@@ -16,7 +16,7 @@ use std::collections::HashMap;
 
 const EMBEDDED: &[u8] = include_bytes!("../assets/embedded/familiarity.safetensors");
 
-/// Rounds of moving centres to the mean of what is nearest to them.
+/// Rounds of moving centers to the mean of what is nearest to them.
 const ROUNDS: usize = 20;
 /// Added to each variance, so that directions in which features hardly vary do not decide.
 const LEAST_VARIANCE: f64 = 1e-4;
@@ -30,9 +30,9 @@ const MOST_ROWS: usize = 8192;
 #[derive(Debug, Clone, PartialEq)]
 pub struct Familiarity {
     width: usize,
-    /// Centres, already multiplied by `whiten`. `[centres, width]`
+    /// Centers, already multiplied by `whiten`. `[centres, width]`
     centres: Vec<f32>,
-    /// The inverse of the Cholesky factor of the covariance around the centres, lower triangular. `[width, width]`
+    /// The inverse of the Cholesky factor of the covariance around the centers, lower triangular. `[width, width]`
     whiten: Vec<f32>,
     /// Least and largest score of the rooms that it was checked on.
     rooms: [f32; 2],
@@ -75,20 +75,20 @@ impl Familiarity {
                 let (rooms, weights) = ([least, most], weights.unwrap_or_default());
                 Ok(Self { width, centres, whiten, rooms, weights })
             }
-            _ => Err(format!("centres {shape:?}, whiten {whiten_shape:?}, rooms {rooms:?}")),
+            _ => Err(format!("centers {shape:?}, whiten {whiten_shape:?}, rooms {rooms:?}")),
         }
     }
 
-    /// Fits centres and spread to rows of unit length, in the order given; the same rows and seed give the same
+    /// Fits centers and spread to rows of unit length, in the order given; the same rows and seed give the same
     /// result. No scene is out of distribution before [`with_rooms`](Self::with_rooms). `rows`: `[n, width]`
     ///
     /// # Panics
-    /// If there are fewer rows than centres, or none (a bug of the caller).
+    /// If there are fewer rows than centers, or none (a bug of the caller).
     pub fn fit(rows: &[f32], width: usize, centres: usize, seed: u64) -> Self {
         let n = rows.len() / width;
-        assert!(n >= centres && centres > 0, "{n} rows for {centres} centres");
+        assert!(n >= centres && centres > 0, "{n} rows for {centres} centers");
         let row = |i: usize| &rows[i * width..][..width];
-        // Each next centre is the row farthest from those before, of some that are drawn: rare things get one, too.
+        // Each next center is the row farthest from those before, of some that are drawn: rare things get one, too.
         let mut rng = sample_rng(seed, 0, 0);
         let mut draw = || ((unit(&mut rng) * n as f64) as usize).min(n - 1);
         let mut means: Vec<f32> = row(draw()).to_vec();
@@ -199,7 +199,7 @@ impl Familiarity {
         out
     }
 
-    /// Distance of a row of unit length to the nearest centre, in standard deviations.
+    /// Distance of a row of unit length to the nearest center, in standard deviations.
     pub fn distance(&self, row: &[f32]) -> f32 {
         nearest(&self.whitened(row), &self.centres, self.width).1.sqrt()
     }
@@ -238,7 +238,7 @@ fn nearest(row: &[f32], all: &[f32], width: usize) -> (usize, f32) {
     distances.fold((0, f32::INFINITY), |a, b| if b.1 < a.1 { b } else { a })
 }
 
-/// The mean of the rows that are nearest to each centre; one that has none stays where it is.
+/// The mean of the rows that are nearest to each center; one that has none stays where it is.
 fn means_of(rows: &[f32], means: &[f32], width: usize) -> Vec<f32> {
     let of: Vec<usize> = rows.par_chunks_exact(width).map(|r| nearest(r, means, width).0).collect();
     let mut sums = vec![0.0_f64; means.len()];

@@ -72,7 +72,7 @@ pub enum FeatureCodeError {
         /// What most likely helps, after a semicolon.
         help: String,
     },
-    /// The caller cancelled.
+    /// The caller canceled.
     #[error("interrupted; nothing was written")]
     Stopped,
     /// A file that cannot be copied.

@@ -74,7 +74,7 @@ pub enum EncodeError {
 /// Which Gaussians are read, and how often.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub enum Fidelity {
-    /// One pass over the voxels: the Gaussian nearest to a voxel's centre stands for it. Differs
+    /// One pass over the voxels: the Gaussian nearest to a voxel's center stands for it. Differs
     /// from [`Fidelity::Exact`] where several Gaussians share a voxel: they share its feature.
     #[default]
     Fast,
@@ -109,7 +109,7 @@ pub struct SceneEncoder<'a> {
     pub network: &'a Network,
     /// Which Gaussians are read.
     pub fidelity: Fidelity,
-    /// Size of the network's voxels, metres; by default the one it was trained at.
+    /// Size of the network's voxels, meters; by default the one it was trained at.
     pub grid_size: f64,
     /// Where voxels are counted from.
     pub anchor: Anchor,
@@ -125,7 +125,7 @@ pub struct SceneEncoder<'a> {
     /// Where features go that do not fit into memory.
     pub spill_folder: PathBuf,
     /// What is known of the scene; by default its up and unit are estimated, and a scene that lies
-    /// on its side or is in millimetres is read as a turned or scaled copy.
+    /// on its side or is in millimeters is read as a turned or scaled copy.
     pub alignment: AlignmentSettings,
 }
 
@@ -188,7 +188,7 @@ impl<'a> SceneEncoder<'a> {
     /// Features of every Gaussian of a scene.
     ///
     /// For a language network rows have unit length; for a classifier they are class
-    /// probabilities, averaged over the passes. The network reads the scene upright and in metres,
+    /// probabilities, averaged over the passes. The network reads the scene upright and in meters,
     /// as [`alignment`](Self::alignment) says; what was done is in the result.
     ///
     /// # Errors

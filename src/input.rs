@@ -1,4 +1,4 @@
-//! What the commands read: a scene, or a labelled point cloud that becomes one.
+//! What the commands read: a scene, or a labeled point cloud that becomes one.
 
 use crate::inference::{EncodeError, SceneFeatures};
 use crate::outputs::OpenedScene;
@@ -51,7 +51,7 @@ pub enum InputError {
     Features(#[from] EncodeError),
 }
 
-/// Reads a scene in any format. The points of a labelled point cloud become discs as wide as their
+/// Reads a scene in any format. The points of a labeled point cloud become discs as wide as their
 /// spacing, and the text says so.
 ///
 /// # Errors
@@ -154,7 +154,7 @@ pub fn scene_name(path: &Path) -> Option<&OsStr> {
     if described { path.parent()?.file_name().or(Some(name)) } else { Some(name) }
 }
 
-/// Whether a file is a labelled point cloud rather than splats. What cannot be read is none: it is
+/// Whether a file is a labeled point cloud rather than splats. What cannot be read is none: it is
 /// refused later, with everything that can be read.
 fn labelled_cloud(path: &Path, label: Option<&str>) -> bool {
     // Asked before opening: to open a pipe would wait for someone to write into it.

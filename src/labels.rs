@@ -11,7 +11,7 @@ use scenesplat_objects::surfaces::{AgreeSettings, ClassShares, SceneSurfaces, ag
 use scenesplat_scene::TextTable;
 use std::borrow::Cow;
 
-/// Why a scene could not be labelled.
+/// Why a scene could not be labeled.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum LabelError {
@@ -175,7 +175,7 @@ fn of_gaussians(features: &SceneFeatures, distinct: &Labels) -> Labels {
 /// (none for `k` below 2); what a threshold withheld stays unknown. Gaussians that no network read have no
 /// say ([`SceneFeatures::voters`]).
 ///
-/// `coord`: positions of the same Gaussians, metres. `[N, 3]`
+/// `coord`: positions of the same Gaussians, meters. `[N, 3]`
 ///
 /// # Errors
 /// As [`label_gaussians`]; also if positions and features differ in number.
@@ -199,7 +199,7 @@ pub struct Agreement<'a> {
     pub temperature: Option<f32>,
     /// Gaussians whose best class is less probable stay without one, 0..=1.
     pub min_probability: Option<f32>,
-    /// Least surface of a piece of each class, square metres (see [`AgreeSettings::least_area`]); empty: any.
+    /// Least surface of a piece of each class, square meters (see [`AgreeSettings::least_area`]); empty: any.
     pub least_area: &'a [f64],
 }
 
@@ -386,7 +386,7 @@ fn most_probable(
 }
 
 /// The score of each Gaussian's label after a vote: cosine of its own feature with the text, or its
-/// probability of the class. Unlabelled Gaussians keep the score that was too low.
+/// probability of the class. Unlabeled Gaussians keep the score that was too low.
 fn rescore(
     features: &SceneFeatures,
     classes: Classes<'_>,

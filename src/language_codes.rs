@@ -53,7 +53,7 @@ pub enum CodeError {
     /// Nothing to learn the axes from.
     #[error("no row has a language feature that is finite and not 0")]
     NoFeatures,
-    /// The caller cancelled.
+    /// The caller canceled.
     #[error("stopped; nothing was written")]
     Stopped,
 }

@@ -160,7 +160,7 @@ impl Network {
     }
 
     /// Any backbone with its weights, such as one of your own: `input` is what its rows are made of,
-    /// `grid_size` the voxels that it was trained at, metres.
+    /// `grid_size` the voxels that it was trained at, meters.
     ///
     /// Tiles need [`Backbone::alignment`], a memory limit needs [`Backbone::cost`].
     ///
@@ -205,7 +205,7 @@ impl Network {
         self.input.orientation == Orientation::Drawn
     }
 
-    /// Voxel size that it was trained at, metres.
+    /// Voxel size that it was trained at, meters.
     pub fn grid_size(&self) -> f64 {
         self.grid_size
     }

@@ -318,7 +318,7 @@ fn write_recolored(
     Ok(write_ply_with_columns(&source, &recolored, &append, path)?)
 }
 
-/// Colors of labels; grey where there is none.
+/// Colors of labels; gray where there is none.
 pub fn label_colors(labels: &[i32]) -> Vec<[u8; 3]> {
     labels.iter().map(|&l| usize::try_from(l).map_or(UNLABELLED_COLOR, class_color)).collect()
 }

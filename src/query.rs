@@ -16,7 +16,7 @@ pub struct QuerySettings {
     pub min_score: Option<f32>,
     /// Least lead over the best rival.
     pub min_margin: Option<f32>,
-    /// Neighbours that vote on the selection; below 2 none do.
+    /// Neighbors that vote on the selection; below 2 none do.
     pub vote_k: usize,
 }
 
@@ -39,18 +39,18 @@ pub struct Selection {
 pub struct Place {
     /// How many they are.
     pub count: usize,
-    /// Mean of their positions, metres.
+    /// Mean of their positions, meters.
     pub center: [f64; 3],
-    /// Lowest corner of their box, metres.
+    /// Lowest corner of their box, meters.
     pub low: [f32; 3],
-    /// Highest corner of their box, metres.
+    /// Highest corner of their box, meters.
     pub high: [f32; 3],
 }
 
 /// Selects the Gaussians that a query means: those whose best meant text beats every rival and
-/// reaches the thresholds, after a vote of neighbours.
+/// reaches the thresholds, after a vote of neighbors.
 ///
-/// `coord`: positions of the same Gaussians, metres. `[N, 3]`
+/// `coord`: positions of the same Gaussians, meters. `[N, 3]`
 ///
 /// # Errors
 /// If texts and features differ in width, nothing speaks against any Gaussian (no rival and no least
@@ -104,7 +104,7 @@ impl Selection {
         taken
     }
 
-    /// Colors of a picture of it: selected Gaussians orange, the others grey, brighter with their
+    /// Colors of a picture of it: selected Gaussians orange, the others gray, brighter with their
     /// score. `[N]`
     pub fn colors(&self) -> Vec<[u8; 3]> {
         let mut sorted: Vec<f32> = self.scores.iter().copied().filter(|s| s.is_finite()).collect();
@@ -129,7 +129,7 @@ impl Selection {
         self.scores.iter().copied().filter(|s| s.is_finite()).max_by(f32::total_cmp)
     }
 
-    /// Where the selected Gaussians are; `None` if none is. `coord`: metres. `[N, 3]`
+    /// Where the selected Gaussians are; `None` if none is. `coord`: meters. `[N, 3]`
     pub fn place(&self, coord: &[[f32; 3]]) -> Option<Place> {
         let rows = || self.selected.iter().zip(coord).filter(|(s, _)| **s == 1).map(|(_, c)| c);
         let count = rows().count();

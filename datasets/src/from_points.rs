@@ -1,4 +1,4 @@
-//! A labelled point cloud as a scene of Gaussians: every point becomes a small disc.
+//! A labeled point cloud as a scene of Gaussians: every point becomes a small disc.
 
 use crate::DataError;
 use crate::error::{check_length, require};
@@ -9,10 +9,10 @@ use scenesplat_scene::GaussianScene;
 use scenesplat_scene::gaussian_scene::u8_to_dc;
 use scenesplat_scene::quaternion::quat_from_z_to;
 
-/// Neighbours whose mean distance is the local spacing.
+/// Neighbors whose mean distance is the local spacing.
 const SPACING_NEIGHBOURS: usize = 3;
 
-/// Smallest standard deviation, metres: duplicates have no spacing.
+/// Smallest standard deviation, meters: duplicates have no spacing.
 const MIN_SCALE: f64 = 1e-4;
 
 /// The normal of a point without a surface around it.
@@ -21,7 +21,7 @@ const UP: [f64; 3] = [0.0, 0.0, 1.0];
 /// Points of a surface with what is known about each.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct SurfacePoints {
-    /// Positions, metres. `[N, 3]`
+    /// Positions, meters. `[N, 3]`
     pub coord: Vec<[f32; 3]>,
     /// sRGB bytes; mid gray if absent. `[N, 3]`
     pub color: Option<Vec<[u8; 3]>>,
@@ -42,9 +42,9 @@ pub struct PointSettings {
     pub spread: f32,
     /// Standard deviation along the normal, in units of the one in the surface.
     pub thickness: f32,
-    /// Largest standard deviation, metres: keeps isolated points small.
+    /// Largest standard deviation, meters: keeps isolated points small.
     pub max_scale: f32,
-    /// Neighbours that estimate a missing normal.
+    /// Neighbors that estimate a missing normal.
     pub normal_neighbours: usize,
 }
 
@@ -59,9 +59,9 @@ impl Default for PointSettings {
 pub struct ConvertedPoints {
     /// One Gaussian per point, in the order of the points.
     pub scene: GaussianScene,
-    /// Points whose normal was estimated from their neighbours.
+    /// Points whose normal was estimated from their neighbors.
     pub num_estimated_normals: usize,
-    /// Points without a normal and without a surface around them (alone, all neighbours on a line
+    /// Points without a normal and without a surface around them (alone, all neighbors on a line
     /// or in one place): they became balls, with normal +z.
     pub num_balls: usize,
 }
@@ -137,7 +137,7 @@ pub fn gaussians_from_points(
 /// Normals of a surface given by points only: the direction in which the `neighbours` nearest
 /// points spread least. `[N, 3]`, unit.
 ///
-/// The sign is a convention: towards +z, then +y, then +x. Points without a surface around them
+/// The sign is a convention: toward +z, then +y, then +x. Points without a surface around them
 /// get +z.
 ///
 /// # Errors
@@ -166,7 +166,7 @@ fn map_around<T: Default + Send>(
     answer: impl Fn(usize, &[Neighbor]) -> T + Sync,
 ) -> Result<Vec<T>, DataError> {
     let tree = tree(coord)?;
-    // Among k + 1 neighbours a point finds itself, unless that many others share its place.
+    // Among k + 1 neighbors a point finds itself, unless that many others share its place.
     let answers = tree.map_nearest(coord, k.saturating_add(1), Vec::new, |others, row, found| {
         others.clear();
         others.extend(found.iter().filter(|n| n.row as usize != row).take(k));
@@ -221,7 +221,7 @@ fn unit_normal(normal: [f32; 3]) -> Option<[f64; 3]> {
     (norm.is_finite() && norm > 1e-12).then(|| normal.map(|v| v / norm))
 }
 
-/// Direction of least spread of a point and its neighbours; `None` if they span no plane.
+/// Direction of least spread of a point and its neighbors; `None` if they span no plane.
 fn plane_normal(coord: &[[f32; 3]], row: usize, found: &[Neighbor]) -> Option<[f64; 3]> {
     let centre = coord[row].map(f64::from);
     // Relative to the point, so that coordinates far from the origin keep their digits.

@@ -10,7 +10,7 @@ use scenesplat_scene::LabelledPoints;
 /// that of the sample.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct FullScene {
-    /// Centres, metres. `[N, 3]`
+    /// Centers, meters. `[N, 3]`
     pub coord: Vec<[f32; 3]>,
     /// Row of the sample that each Gaussian is in a voxel with. `[N]`
     pub voxel: Vec<u32>,
@@ -18,7 +18,7 @@ pub struct FullScene {
     pub segment: Option<Vec<i32>>,
     /// Whether the Gaussian has a language feature, so that it may vote. `[N]`
     pub valid_feat: Option<Vec<bool>>,
-    /// Labelled points to score instead of the Gaussians, all of them; independent row count.
+    /// Labeled points to score instead of the Gaussians, all of them; independent row count.
     pub points: Option<LabelledPoints>,
     /// What a teacher says of each Gaussian, if there is one. `[N]`
     pub teacher: Option<TeacherRows>,
@@ -45,7 +45,7 @@ impl FullScene {
         self.voxel.iter().map(|&voxel| of_voxels[voxel as usize]).collect()
     }
 
-    /// Positions and classes of the labelled points, if they have classes: what is scored then.
+    /// Positions and classes of the labeled points, if they have classes: what is scored then.
     pub fn scored_points(&self) -> Option<(&[[f32; 3]], &[i32])> {
         let points = self.points.as_ref()?;
         Some((&points.coord, points.segment.as_deref()?))

@@ -20,11 +20,11 @@ pub enum InputChannel {
     Opacity,
     /// Unit quaternion `w, x, y, z`. 4 channels
     Quat,
-    /// Standard deviations, metres. 3 channels
+    /// Standard deviations, meters. 3 channels
     Scale,
     /// Unit surface normal. 3 channels
     Normal,
-    /// Metres above the floor, which is looked for in the whole scene ([`Floors`]); the scene's z axis
+    /// Meters above the floor, which is looked for in the whole scene ([`Floors`]); the scene's z axis
     /// must point up. 1 channel. Not part of the original.
     Height,
 }
@@ -75,7 +75,7 @@ scenesplat_kernels::settings! {
             use InputChannel::{Color, Opacity, Quat, Scale};
             vec![Color, Opacity, Quat, Scale]
         },
-        /// Lower and upper limit of the scales, metres; `None` (`"none"` in files) passes them on as they
+        /// Lower and upper limit of the scales, meters; `None` (`"none"` in files) passes them on as they
         /// are.
         #[serde(with = "scale_clip")]
         pub scale_clip: Option<[f32; 2]> = Some([0.0, 1.5]),
@@ -227,7 +227,7 @@ impl InputFeatures {
             return Err(DataError::NoNormals);
         }
         let Some([low, high]) = self.scale_clip else { return Ok(()) };
-        let expected = "a lower and an upper limit in metres";
+        let expected = "a lower and an upper limit in meters";
         require(low <= high, "scale_clip", format_args!("[{low}, {high}]"), expected)
     }
 
@@ -349,7 +349,7 @@ mod tests {
 
     #[test]
     fn height_is_above_the_floor_of_the_whole_scene() {
-        // 100 centres on the floor at z = 2, one floater far below, one lamp 1.5 m above.
+        // 100 centers on the floor at z = 2, one floater far below, one lamp 1.5 m above.
         let mut scene = GaussianScene {
             coord: (0..100).map(|i| [i as f32, 0.0, 2.0]).collect(),
             ..GaussianScene::default()

@@ -1,7 +1,7 @@
 //! Which Gaussians a network does not see while it learns to reconstruct them.
 //!
 //! # Source
-//! The mask generator of SceneSplat be9d5e1. Differs: patches are measured in metres (there, voxel numbers
+//! The mask generator of SceneSplat be9d5e1. Differs: patches are measured in meters (there, voxel numbers
 //! are divided by a length, so that each voxel is a patch of its own); where a ratio comes to less than one
 //! patch, one is masked (there, a division by 0); weights are not rounded to f16.
 
@@ -16,7 +16,7 @@ use serde::{Deserialize, Serialize};
 pub enum MaskShape {
     /// Each Gaussian by itself.
     Gaussians,
-    /// All Gaussians of a cube with edges of so many metres, above 0. The paper has 0.05 and 0.10.
+    /// All Gaussians of a cube with edges of so many meters, above 0. The paper has 0.05 and 0.10.
     Patches(f64),
 }
 
@@ -75,7 +75,7 @@ impl Masking {
     /// not finite are never hidden. The order of rows decides nothing but which Gaussian is which.
     ///
     /// # Shapes
-    /// `coord`: `[N, 3]`, metres · `offsets`: `[B + 1]`, the first row of each scene
+    /// `coord`: `[N, 3]`, meters · `offsets`: `[B + 1]`, the first row of each scene
     ///
     /// # Errors
     /// As [`check`](Self::check), and if the offsets do not lead from 0 to N.
@@ -169,7 +169,7 @@ mod tests {
         let even = even.choose(&coord, &offsets, 1, 2).unwrap();
         assert_eq!(even.hidden, masked.hidden);
         assert!((even.weights.iter().sum::<f64>() - 1.0).abs() < 1e-12);
-        // One by one, they are no neighbours.
+        // One by one, they are no neighbors.
         let single = all(MaskShape::Gaussians, 0.3).choose(&coord, &offsets, 1, 2).unwrap();
         assert_eq!(single.hidden.iter().filter(|h| **h).count(), 30);
         assert!(single.hidden.chunks_exact(5).any(|p| p.iter().any(|h| *h != p[0])));

@@ -6,10 +6,10 @@ use crate::train_batch::{feature_width, fill_optional_arrays, join};
 use crate::{DataError, Sample, SampleRng};
 use std::collections::HashMap;
 
-/// Merges neighbouring samples in pairs: the first with the second, the third with the fourth; the
+/// Merges neighboring samples in pairs: the first with the second, the third with the fourth; the
 /// last of an odd number stays alone.
 ///
-/// Scenes are merged where they are (both are centred, as a rule): cells of the second are moved by
+/// Scenes are merged where they are (both are centered, as a rule): cells of the second are moved by
 /// a whole number of cells so that both scenes' cells count from the same corner. A cell that both
 /// scenes have keeps one of the two Gaussians, by the toss of a coin for each cell. Instances of
 /// the second scene are numbered after those of the first.
@@ -26,7 +26,7 @@ use std::collections::HashMap;
 /// cells of both scenes count from the scene's own corner, so cells do not fit the coordinates, and
 /// cells that are there twice have results that depend on the order of threads (its sparse
 /// convolution keeps one of the two at random). `exact` keeps the same rows; the network's kernel
-/// maps then take the first of a cell as its neighbours' neighbour, which is one of the results the
+/// maps then take the first of a cell as its neighbors' neighbor, which is one of the results the
 /// original may give. Instances of two scenes may there share a number.
 pub fn mix_pairs(
     samples: Vec<Sample>,
@@ -131,7 +131,7 @@ fn align(first: &mut Sample, second: &mut Sample) -> Result<(), DataError> {
     Ok(())
 }
 
-/// Where the cell 0, 0, 0 has its lower corner, metres; `None` without Gaussians or cells.
+/// Where the cell 0, 0, 0 has its lower corner, meters; `None` without Gaussians or cells.
 ///
 /// Every Gaussian gives an upper bound of it, and with many the lowest of them is close.
 fn corner(sample: &Sample) -> Option<[f64; 3]> {
@@ -256,7 +256,7 @@ mod tests {
         for (coord, cell) in mixed.coord.iter().zip(&mixed.grid_coord) {
             assert_eq!(coord[0], -1.5 + (cell[0] as f32 + 0.5) * 0.5);
         }
-        // Rows of the second scene are recognised by their instances.
+        // Rows of the second scene are recognized by their instances.
         let of_b = mixed.instance.as_ref().unwrap().iter().filter(|&&i| i >= 10).count();
         assert!(
             (3..=10).contains(&of_b) && of_b != 3 && of_b != 10,

@@ -3,7 +3,7 @@
 //!
 //! Two plans give the same structure:
 //! - [`FastPlan`] (default): one pass over the 2 cm voxels; the Gaussian nearest to a voxel's
-//!   centre stands for the voxel, and every Gaussian receives the output of its voxel.
+//!   center stands for the voxel, and every Gaussian receives the output of its voxel.
 //! - [`ExactPlan`]: the steps of the original system. One Gaussian per 1 cm voxel is kept; the kept
 //!   ones are read in several passes of at most one per 2 cm voxel, until each was read.
 
@@ -56,7 +56,7 @@ impl NetworkInput {
 scenesplat_kernels::settings! {
     /// One pass, one Gaussian per voxel.
     pub struct FastPlan {
-        /// Voxel size, metres.
+        /// Voxel size, meters.
         pub grid_size: f64 = 0.02,
         /// Where voxels are counted from.
         pub anchor: Anchor = Anchor::Box,
@@ -82,9 +82,9 @@ pub enum Representative {
 scenesplat_kernels::settings! {
     /// The steps of the original system.
     pub struct ExactPlan {
-        /// Size of the fine voxels that keep one Gaussian each, metres.
+        /// Size of the fine voxels that keep one Gaussian each, meters.
         pub sample_size: f64 = 0.01,
-        /// Size of the network's voxels, metres.
+        /// Size of the network's voxels, meters.
         pub grid_size: f64 = 0.02,
         /// Which Gaussian a fine voxel keeps.
         pub representative: Representative = Representative::First,
@@ -147,7 +147,7 @@ impl ExactPlan {
     /// # Source
     /// Test pipeline and `tools/lang_inference.py` of SceneSplat be9d5e1: `CenterShift`, `GridSample`
     /// (train rule, 1 cm, with inverse), `GridSample` (test rule, 2 cm). Rows come in its order.
-    /// Differs: its rotation by 0° re-normalises quaternions in f64; ours are left as stored.
+    /// Differs: its rotation by 0° re-normalizes quaternions in f64; ours are left as stored.
     pub fn build<'a>(&self, scene: &'a GaussianScene) -> Result<InferencePlan<'a>, DataError> {
         scene.check_rows()?;
         require(self.passes != Some(0), "passes", 0, "at least one")?;

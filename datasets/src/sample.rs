@@ -15,13 +15,13 @@ use std::fmt::Debug;
 pub struct Sample {
     /// Name of the scene.
     pub id: String,
-    /// Centres, metres. `[N, 3]`
+    /// Centers, meters. `[N, 3]`
     pub coord: Vec<[f32; 3]>,
-    /// Colour, `0..=255`, no longer whole numbers after a colour transform. `[N, 3]`
+    /// Color, `0..=255`, no longer whole numbers after a color transform. `[N, 3]`
     pub color: Vec<[f32; 3]>,
     /// Opacity, `0..=1`. `[N]`
     pub opacity: Vec<f32>,
-    /// Standard deviation along each principal axis, metres. `[N, 3]`
+    /// Standard deviation along each principal axis, meters. `[N, 3]`
     pub scale: Vec<[f32; 3]>,
     /// Orientation `w, x, y, z`, unit norm. `[N, 4]`
     pub quat: Vec<[f32; 4]>,
@@ -38,9 +38,9 @@ pub struct Sample {
     /// Cell of each Gaussian, not negative; empty before [`GridSample`](crate::transforms::GridSample).
     /// `[N, 3]`
     pub grid_coord: Vec<[i32; 3]>,
-    /// Size of a cell, metres; 0 before [`GridSample`](crate::transforms::GridSample).
+    /// Size of a cell, meters; 0 before [`GridSample`](crate::transforms::GridSample).
     pub grid_size: f64,
-    /// Labelled points to evaluate on, in the same frame; independent row count.
+    /// Labeled points to evaluate on, in the same frame; independent row count.
     pub labelled_points: Option<LabelledPoints>,
     /// The scene that the rows were sampled from, if a
     /// [`GridSample`](crate::transforms::GridSample) was told to keep it.
@@ -58,9 +58,9 @@ impl Sample {
     /// In [`origin_row`](Self::origin_row): a Gaussian that no teacher saw, because it was added later.
     pub const ADDED: u32 = u32::MAX;
 
-    /// A scene as the transforms see it. Spherical harmonics above the colour are left behind.
+    /// A scene as the transforms see it. Spherical harmonics above the color are left behind.
     ///
-    /// Colours become the bytes of the original preprocessing (truncated); a colour that is NaN
+    /// Colors become the bytes of the original preprocessing (truncated); a color that is NaN
     /// stays NaN, so that it is found before it reaches the network.
     pub fn from_scene(id: impl Into<String>, scene: GaussianScene) -> Self {
         let color = (0..scene.len())
@@ -99,7 +99,7 @@ impl Sample {
     }
 
     /// Keeps the given rows, in the given order; rows may repeat. The one place where the number of
-    /// rows changes, so no array can get out of step. Labelled points stay; the full scene goes, whose
+    /// rows changes, so no array can get out of step. Labeled points stay; the full scene goes, whose
     /// voxels these rows no longer are.
     ///
     /// # Panics
@@ -163,7 +163,7 @@ impl Sample {
         Ok(())
     }
 
-    /// The coordinates of Gaussians and labelled points, which move together.
+    /// The coordinates of Gaussians and labeled points, which move together.
     pub(crate) fn places_mut(&mut self) -> impl Iterator<Item = &mut [f32; 3]> {
         let points = self.labelled_points.iter_mut().flat_map(|points| &mut points.coord);
         self.coord.iter_mut().chain(points)

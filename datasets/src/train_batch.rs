@@ -13,7 +13,7 @@ use scenesplat_scene::LanguageFeatures;
 pub struct TrainBatch {
     /// Names of the scenes; two names joined by ` + ` for a mixed one. `[B]`
     pub ids: Vec<String>,
-    /// Centres, metres, each sample in its own frame. `[M, 3]`
+    /// Centers, meters, each sample in its own frame. `[M, 3]`
     pub coord: Vec<[f32; 3]>,
     /// Cells, each sample with its own origin. `[M, 3]`
     pub grid_coord: Vec<[i32; 3]>,

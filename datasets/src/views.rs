@@ -26,7 +26,7 @@ pub struct ViewSample {
     pub kind: ViewKind,
     /// The Gaussians as the network sees them; `origin_row` says which rows of the scene they are.
     pub sample: Sample,
-    /// Where each was before the view was cut and changed, metres. NaN for one that was added.
+    /// Where each was before the view was cut and changed, meters. NaN for one that was added.
     /// `[N, 3]`
     pub origin: Vec<[f32; 3]>,
 }
@@ -38,7 +38,7 @@ pub struct View {
     pub kind: ViewKind,
     /// The scenes, in the order of all views.
     pub batch: TrainBatch,
-    /// Place of each row before the view was cut and changed, metres; NaN for one that was added.
+    /// Place of each row before the view was cut and changed, meters; NaN for one that was added.
     /// `[N, 3]`
     pub origin: Vec<[f32; 3]>,
     /// Row of the scene that each is, [`Sample::ADDED`] for one that was added. `[N]`

@@ -12,10 +12,10 @@ use scenesplat_kernels::simd::compiled;
 
 const NAME: &str = "cross_entropy";
 
-/// Mean cross-entropy over the labelled rows.
+/// Mean cross-entropy over the labeled rows.
 ///
 /// `Σᵢ lᵢ / Σᵢ w[yᵢ]` over rows whose label `yᵢ` is not [`IGNORE`], where with smoothing s
-/// `lᵢ = (1 − s) w[yᵢ] (−log p[yᵢ]) + s/C Σ_c w[c] (−log p[c])`; `None` when no row is labelled, or
+/// `lᵢ = (1 − s) w[yᵢ] (−log p[yᵢ]) + s/C Σ_c w[c] (−log p[c])`; `None` when no row is labeled, or
 /// the labels present have no weight. [`LossInput::valid`] is not read: it is about target features.
 ///
 /// # Source
@@ -54,7 +54,7 @@ impl Loss for CrossEntropy {
 /// f32, or f64 if the logits are
 ///
 /// # Errors
-/// If shapes do not fit, a label is out of range, a setting is, or a logit of a labelled row is not
+/// If shapes do not fit, a label is out of range, a setting is, or a logit of a labeled row is not
 /// finite.
 pub fn cross_entropy(
     logits: &Tensor,

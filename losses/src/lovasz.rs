@@ -13,14 +13,14 @@ use scenesplat_kernels::simd::compiled;
 
 const NAME: &str = "lovasz_softmax";
 
-/// Rows whose errors lie together: a class's errors of these rows are neighbours in memory.
+/// Rows whose errors lie together: a class's errors of these rows are neighbors in memory.
 const BLOCK: usize = 64;
 
 /// Mean over the classes present of the Lovász extension of `1 − IoU`, on softmax probabilities.
 ///
-/// For each class c among the labels: the errors `e = |1[y = c] − p_c|` of all labelled rows are
+/// For each class c among the labels: the errors `e = |1[y = c] − p_c|` of all labeled rows are
 /// sorted descending, and weighted by what each adds to the Jaccard loss; `None` when no row is
-/// labelled. The gradient is exact; where errors are equal it is that of the order of their rows.
+/// labeled. The gradient is exact; where errors are equal it is that of the order of their rows.
 /// [`LossInput::valid`] is not read: it is about target features.
 ///
 /// Takes `N·C` numbers of memory between forward and backward pass, C counting classes present.
@@ -52,7 +52,7 @@ impl Loss for LovaszSoftmax {
 /// logits are
 ///
 /// # Errors
-/// If shapes do not fit, a label is out of range, or a logit of a labelled row is not finite.
+/// If shapes do not fit, a label is out of range, or a logit of a labeled row is not finite.
 pub fn lovasz_softmax(logits: &Tensor, label: &[i32]) -> Result<Option<Tensor>> {
     match logits.dtype() {
         DType::F64 => typed::<f64>(logits, label),
@@ -91,7 +91,7 @@ fn typed<T: Real>(logits: &Tensor, label: &[i32]) -> Result<Option<Tensor>> {
     scalar_loss(logits, value, backward).map(Some)
 }
 
-/// `|1[y = c] − p_c|` of labelled rows and classes present, `[blocks of rows][class][row of the
+/// `|1[y = c] − p_c|` of labeled rows and classes present, `[blocks of rows][class][row of the
 /// block]`, and the logarithm of each row's sum of exponentials.
 fn errors<T: Real>(
     logits: &Tensor,
@@ -178,7 +178,7 @@ struct LovaszBackward<T> {
     labelled: Vec<u32>,
     present: Vec<u32>,
     log_sums: Vec<f64>,
-    /// Of each class present: of the probability of each labelled row.
+    /// Of each class present: of the probability of each labeled row.
     weights: Vec<Vec<T>>,
     factor: f64,
 }

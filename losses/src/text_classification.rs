@@ -1,4 +1,4 @@
-//! Features classified by the texts of the classes, as zero-shot labelling does it.
+//! Features classified by the texts of the classes, as zero-shot labeling does it.
 
 use crate::contrastive::TextColumns;
 use crate::cross_entropy::cross_entropy;

@@ -153,9 +153,9 @@ architectures! {
     PointTransformerV3(crate::PointTransformerV3Config) = "point_transformer_v3":
         "Attention in patches of space-filling curves.";
     PointTransformerV1(crate::PointTransformerV1Config) = "point_transformer_v1":
-        "Vector attention over nearest neighbours.";
+        "Vector attention over nearest neighbors.";
     PointTransformerV2(crate::PointTransformerV2Config) = "point_transformer_v2":
-        "Grouped vector attention over nearest neighbours.";
+        "Grouped vector attention over nearest neighbors.";
     LitePt(crate::LitePtConfig) = "litept":
         "Convolutions on fine voxels, attention on coarse ones.";
 }

@@ -2,7 +2,7 @@
 //!
 //! A network is a plain struct built from a [`candle_nn::VarBuilder`]. Built from a
 //! [`ParamStore`] that holds variables it trains: every operation has a gradient. Built from frozen
-//! weights it is packed for inference: weights are rearranged once, neighbouring operations are
+//! weights it is packed for inference: weights are rearranged once, neighboring operations are
 //! fused, and asking for a gradient is an error rather than a silent zero.
 //!
 //! Mode, randomness and curve orders are arguments ([`Forward`]); nothing is hidden state.

@@ -22,11 +22,11 @@ pub struct ModelConfig {
     pub backbone: BackboneConfig,
     /// What stands behind it.
     pub head: Head,
-    /// Voxel size that the network is trained for, metres.
+    /// Voxel size that the network is trained for, meters.
     pub grid_size: f64,
 }
 
-/// The released networks' voxels, metres.
+/// The released networks' voxels, meters.
 const GRID_SIZE: f64 = 0.02;
 
 impl Default for ModelConfig {
@@ -210,7 +210,7 @@ impl ModelConfig {
         };
         let grid_size = match take(&mut fields, "grid_size") {
             None => GRID_SIZE,
-            Some(v) => v.as_f64().ok_or_else(|| wrong("grid_size", &v, "a length in metres"))?,
+            Some(v) => v.as_f64().ok_or_else(|| wrong("grid_size", &v, "a length in meters"))?,
         };
         let backbone = BackboneConfig::from_fields(&architecture, fields)?;
         Ok(Self { backbone, head, grid_size })

@@ -1,8 +1,8 @@
-//! Scales of a batch of voxels and their neighbourhoods: what networks attend over that know points
+//! Scales of a batch of voxels and their neighborhoods: what networks attend over that know points
 //! and no space-filling curves.
 //!
 //! Everything belongs to one scene, and what could tie is settled by place: rows are sorted by x, y
-//! and z, and of equally near neighbours the first in that order counts. That order is the same
+//! and z, and of equally near neighbors the first in that order counts. That order is the same
 //! wherever a scene or a tile begins, which an order along a curve is not.
 
 use crate::row_order::{SortedRows, order_by};
@@ -21,7 +21,7 @@ pub(crate) struct Scale {
     /// Mean position of the voxels of a cell, in voxels of the input. `[N]`
     coord: Vec<[f32; 3]>,
     offsets: Vec<usize>,
-    /// Neighbourhoods that were asked for, by their size.
+    /// Neighborhoods that were asked for, by their size.
     found: Vec<(usize, Neighborhood)>,
 }
 
@@ -133,7 +133,7 @@ impl Neighborhood {
     pub fn new(queries: &Scale, sources: &Scale, k: usize) -> Result<Self> {
         let total = queries.len().checked_mul(k).filter(|n| u32::try_from(*n).is_ok());
         if total.is_none() {
-            bail!("neighbors: {} rows with {k} neighbours each are too many", queries.len());
+            bail!("neighbors: {} rows with {k} neighbors each are too many", queries.len());
         }
         let mut ends = vec![0];
         let mut source_of = Vec::new();

@@ -1,4 +1,4 @@
-//! Point Transformer: vector attention over nearest neighbours, pooling to a part of the points.
+//! Point Transformer: vector attention over nearest neighbors, pooling to a part of the points.
 //!
 //! Stages of pooling and blocks, then a decoder that interpolates between the three nearest points of
 //! the coarser scale. A weight of the attention is a vector whose entries channels share.
@@ -9,8 +9,8 @@
 //! a scale here has one point for each cell of `stride³` cells, the one nearest to the mean of those
 //! in it (a quarter too where Gaussians lie on surfaces; farthest point sampling takes time with the
 //! square of their number, and a tile would have other points than its scene); positions are voxel
-//! numbers instead of metres; a scene with fewer points than neighbours attends to those it has;
-//! equally near neighbours count by their place; batch norm of a single row takes the remembered
+//! numbers instead of meters; a scene with fewer points than neighbors attends to those it has;
+//! equally near neighbors count by their place; batch norm of a single row takes the remembered
 //! statistics. The hidden layer of the original's classifier belongs to the backbone (`out`), so that
 //! any head can stand behind it. The coarsest stage reads the mean of its scene, so tiles of a scene
 //! differ a little from the whole.
@@ -39,7 +39,7 @@ pub struct PointTransformerV1Config {
     pub enc_depths: Vec<usize>,
     /// Channels of each stage.
     pub channels: Vec<usize>,
-    /// Neighbours of each stage, each row itself among them.
+    /// Neighbors of each stage, each row itself among them.
     pub neighbors: Vec<usize>,
     /// Blocks of each decoder stage.
     pub dec_depths: Vec<usize>,
@@ -65,7 +65,7 @@ impl Default for PointTransformerV1Config {
     }
 }
 
-/// Neighbours that a decoder interpolates between.
+/// Neighbors that a decoder interpolates between.
 const INTERPOLATED: usize = 3;
 
 impl PointTransformerV1Config {
@@ -236,7 +236,7 @@ impl Block {
     }
 }
 
-/// To a scale's channels: of the rows themselves, or of the neighbours in the scale above.
+/// To a scale's channels: of the rows themselves, or of the neighbors in the scale above.
 #[derive(Debug)]
 struct TransitionDown {
     joined: LinearNormRelu,

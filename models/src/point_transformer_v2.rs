@@ -1,15 +1,15 @@
-//! Point Transformer V2: grouped vector attention over nearest neighbours, pooling by grid cells.
+//! Point Transformer V2: grouped vector attention over nearest neighbors, pooling by grid cells.
 //!
 //! Embedding and blocks at the finest scale, then stages of pooling and blocks, then a decoder that
 //! gives each voxel what its cell has. A weight of the attention is a vector with one entry for each
-//! group of channels, made of the difference of key and query and of where the neighbour lies.
+//! group of channels, made of the difference of key and query and of where the neighbor lies.
 //!
 //! # Source
 //! "Point Transformer V2" (Wu et al. 2022), mode 2 of Pointcept (`PT-v2m2`, its defaults). Differs:
-//! positions are voxel numbers instead of metres (the batch norm behind the first layer of the
+//! positions are voxel numbers instead of meters (the batch norm behind the first layer of the
 //! position encoding takes the unit out); cells are counted from the corner of the grid instead of
 //! the scene's lowest point, so that tiles of a scene have its cells; a scene with fewer points than
-//! neighbours attends to those it has; equally near neighbours count by their place; batch norm of a
+//! neighbors attends to those it has; equally near neighbors count by their place; batch norm of a
 //! single row takes the remembered statistics; attention has no dropout. The hidden layer of the
 //! original's classifier belongs to the backbone (`out`), so that any head can stand behind it.
 
@@ -37,7 +37,7 @@ pub struct PointTransformerV2Config {
     pub patch_embed_channels: usize,
     /// Attention groups there.
     pub patch_embed_groups: usize,
-    /// Neighbours there, each row itself among them.
+    /// Neighbors there, each row itself among them.
     pub patch_embed_neighbors: usize,
     /// Edge of a stage's cells, in cells of the stage before.
     pub stride: Vec<usize>,
@@ -47,7 +47,7 @@ pub struct PointTransformerV2Config {
     pub enc_channels: Vec<usize>,
     /// Attention groups of each encoder stage.
     pub enc_groups: Vec<usize>,
-    /// Neighbours in each encoder stage.
+    /// Neighbors in each encoder stage.
     pub enc_neighbors: Vec<usize>,
     /// Blocks of each decoder stage, which works at the scale above the encoder stage.
     pub dec_depths: Vec<usize>,
@@ -55,9 +55,9 @@ pub struct PointTransformerV2Config {
     pub dec_channels: Vec<usize>,
     /// Attention groups of each decoder stage.
     pub dec_groups: Vec<usize>,
-    /// Neighbours in each decoder stage.
+    /// Neighbors in each decoder stage.
     pub dec_neighbors: Vec<usize>,
-    /// Whether the place of a neighbour also multiplies the difference of key and query.
+    /// Whether the place of a neighbor also multiplies the difference of key and query.
     pub position_multiplier: bool,
     /// Largest probability that a row skips a block in training.
     pub drop_path: f64,
@@ -343,7 +343,7 @@ impl Block {
     }
 }
 
-/// Blocks over the same neighbourhoods.
+/// Blocks over the same neighborhoods.
 #[derive(Debug)]
 struct BlockSequence {
     name: String,

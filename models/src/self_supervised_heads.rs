@@ -84,7 +84,7 @@ impl PrototypeHead {
     /// If parameters exist with another shape.
     ///
     /// # Source
-    /// The heads of Sonata (Pointcept d74c646), whose prototypes are weight-normalised with a fixed
+    /// The heads of Sonata (Pointcept d74c646), whose prototypes are weight-normalized with a fixed
     /// length. Differs: three linear layers, where Sonata has two.
     pub fn new(
         shape: ProjectionShape,

@@ -9,7 +9,7 @@ pub enum EvaluationError {
     /// A label that stands for nothing.
     #[error("row {row} has label {label}, but there are only {known} names")]
     UnknownLabel {
-        /// First such row, of the Gaussians or of the labelled points.
+        /// First such row, of the Gaussians or of the labeled points.
         row: usize,
         /// Its label.
         label: i32,

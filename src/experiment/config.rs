@@ -128,8 +128,8 @@ pub struct EvaluationConfig {
     /// What is done to each.
     #[serde(default = "validation")]
     pub transforms: TransformList,
-    /// Neighbours that vote on each label. If not given, as the paper evaluates: 25, but for logits
-    /// where the Gaussians themselves are labelled, which are not voted on (1).
+    /// Neighbors that vote on each label. If not given, as the paper evaluates: 25, but for logits
+    /// where the Gaussians themselves are labeled, which are not voted on (1).
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub vote_k: Option<usize>,
     /// Texts of these scenes' classes, where they are others than those of the experiment.
@@ -277,7 +277,7 @@ pub enum TransformList {
 }
 
 impl TransformList {
-    /// The steps; presets sample at `grid_size`, metres.
+    /// The steps; presets sample at `grid_size`, meters.
     ///
     /// # Errors
     /// If there is no preset of this name.

@@ -7,7 +7,7 @@ use std::collections::BTreeMap;
 /// a few percent of a room.
 const LEAST: usize = 4096;
 /// Edge of the cubes that it is made of, voxels at least: wide enough that most voxels have all their
-/// neighbours.
+/// neighbors.
 const EDGE: u32 = 32;
 
 /// Whole cubes of the voxels of an input, spread over it, until there are enough. `align`: edge of

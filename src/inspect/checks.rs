@@ -38,7 +38,7 @@ const INVISIBLE: f32 = 1.0 / 255.0;
 /// Share of invisible Gaussians that is worth a remark.
 const INVISIBLE_SHARE: f64 = 0.05;
 
-/// Coordinates whose f32 step exceeds this were rounded to a fifth of a voxel or worse, metres.
+/// Coordinates whose f32 step exceeds this were rounded to a fifth of a voxel or worse, meters.
 const COARSEST_STEP: f32 = 0.004;
 
 pub(super) fn check_positions(
@@ -58,7 +58,7 @@ pub(super) fn check_positions(
                 format!("the scene does not fit on the voxel grid: {message}"),
             )
             .example(format!("{:?}", scene.coord[*row]))
-            .help("remove the outliers, or rescale the scene to metres; the networks refuse it so");
+            .help("remove the outliers, or rescale the scene to meters; the networks refuse it so");
     }
     if rows < FEWEST_ROWS {
         findings.add(Severity::Note, "few_rows", Counted::of(rows), format!(
@@ -176,7 +176,7 @@ pub(super) fn check_unit(
         LengthUnit::Centimetre => (Severity::Note, ""),
         LengthUnit::Millimetre if is_surely_no_metre(guess, robust) => (
             Severity::Warning,
-            "networks read a copy in metres; scaled by 0.001 it is so for all programs",
+            "networks read a copy in meters; scaled by 0.001 it is so for all programs",
         ),
         LengthUnit::Millimetre => (
             Severity::Warning,
@@ -244,7 +244,7 @@ pub(super) fn check_isolated(
     let is_many = count as f64 > ISOLATED_SHARE * scene.len() as f64;
     let severity = if is_many { Severity::Warning } else { Severity::Note };
     findings.add(severity, "floaters", Counted { count, first: near.isolated.first }, format!(
-                "{} of the Gaussians are isolated: the 4th neighbour is up to {} m away, usually {} m",
+                "{} of the Gaussians are isolated: the 4th neighbor is up to {} m away, usually {} m",
                 percent(count, scene.len()),
                 short(metres),
                 short(near.spacing.unwrap_or(0.0))

@@ -35,7 +35,7 @@ const SH_USED: f32 = 0.5 / 255.0;
 /// Occupancy of the voxels that a network sees.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Voxels {
-    /// Their size, metres.
+    /// Their size, meters.
     pub size: f64,
     /// Number of voxels.
     pub count: usize,

@@ -73,7 +73,7 @@ fn row_bits(scene: &GaussianScene, row: usize) -> [u32; 14] {
     out
 }
 
-/// The position in one number: a mix in which no bit is lost to a neighbour's.
+/// The position in one number: a mix in which no bit is lost to a neighbor's.
 fn position_key(scene: &GaussianScene, row: usize) -> u64 {
     bits(scene.coord[row]).into_iter().fold(0, mix)
 }

@@ -7,7 +7,7 @@ use scenesplat_kernels::simd::Isa;
 use scenesplat_scene::GaussianScene;
 use serde::Serialize;
 
-/// Time and memory of labelling a scene with one pass of a network: reading, network, vote, writing
+/// Time and memory of labeling a scene with one pass of a network: reading, network, vote, writing
 /// and a picture.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Estimate {

@@ -13,7 +13,7 @@ pub struct Floaters {
     /// Rows that are not floaters, ascending.
     #[serde(skip)]
     pub kept: Vec<usize>,
-    /// Gaussians whose fourth neighbour is 2.5 times farther away than for 90 % of all, and farther
+    /// Gaussians whose fourth neighbor is 2.5 times farther away than for 90 % of all, and farther
     /// than they reach themselves.
     pub isolated: usize,
     /// Gaussians whose three standard deviations exceed three quarters of the scene's diagonal, the
@@ -62,7 +62,7 @@ pub fn find_floaters(scene: &GaussianScene) -> Floaters {
 mod tests {
     use super::*;
 
-    /// A slab of 20 × 20 × 3 small Gaussians, a tenth of a metre apart.
+    /// A slab of 20 × 20 × 3 small Gaussians, a tenth of a meter apart.
     fn slab() -> GaussianScene {
         let coord: Vec<[f32; 3]> = (0..1200u16)
             .map(|i| [i % 20, i / 20 % 20, i / 400].map(|v| 0.1 * f32::from(v)))

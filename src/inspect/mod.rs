@@ -43,7 +43,7 @@ pub struct InspectSettings {
     pub from_points: bool,
     /// Which way is up, if the user knows.
     pub up: Option<UpAxis>,
-    /// Voxel size, metres.
+    /// Voxel size, meters.
     pub grid_size: f64,
     /// The network to estimate the cost of, and its name; `None`: no estimate.
     pub network: Option<(String, NetworkConfig)>,
@@ -63,7 +63,7 @@ pub struct Inspection {
     /// The file or folder.
     pub path: String,
     /// What it is: `ply`, `compressed-ply`, `npy`, `splat`, `spz`, `sog`, `ksplat`, `gltf`, or
-    /// `points` for a labelled point cloud.
+    /// `points` for a labeled point cloud.
     pub format: &'static str,
     /// Rows in the file.
     pub gaussians: usize,
@@ -71,13 +71,13 @@ pub struct Inspection {
     pub usable: usize,
     /// Rows left out.
     pub dropped: usize,
-    /// Box around everything, metres.
+    /// Box around everything, meters.
     pub bounds: Bounds,
-    /// Box around the scene without what is stray, metres.
+    /// Box around the scene without what is stray, meters.
     pub robust_bounds: Bounds,
-    /// Sides of the robust box, metres.
+    /// Sides of the robust box, meters.
     pub extent: [f64; 3],
-    /// Median distance to the fourth neighbour, metres.
+    /// Median distance to the fourth neighbor, meters.
     pub spacing: Option<f64>,
     /// Which way seems to be up.
     pub up: UpGuess,
@@ -91,9 +91,9 @@ pub struct Inspection {
     pub sh_bands: Vec<ShBand>,
     /// Opacity, 0..=1.
     pub opacity: Distribution,
-    /// Largest standard deviation of each Gaussian, metres; its histogram is of log10.
+    /// Largest standard deviation of each Gaussian, meters; its histogram is of log10.
     pub largest_scale: Distribution,
-    /// Smallest standard deviation of each Gaussian, metres; its histogram is of log10.
+    /// Smallest standard deviation of each Gaussian, meters; its histogram is of log10.
     pub smallest_scale: Distribution,
     /// Largest standard deviation divided by the smallest; its histogram is of log10.
     pub anisotropy: Distribution,

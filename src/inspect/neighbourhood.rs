@@ -1,4 +1,4 @@
-//! How near the neighbours of each Gaussian are, and which Gaussians have none.
+//! How near the neighbors of each Gaussian are, and which Gaussians have none.
 
 use super::statistics::{Counted, count_rows, largest};
 use scenesplat_datasets::effects::profile::isolation::Isolation;
@@ -9,15 +9,15 @@ use scenesplat_scene::{Bounds, GaussianScene};
 /// What the distances say.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
 pub(super) struct Neighbourhood {
-    /// Median distance to the fourth neighbour, metres.
+    /// Median distance to the fourth neighbor, meters.
     pub(super) spacing: Option<f64>,
     /// Gaussians with no others around, the stray ones outside `zone` not counted.
     pub(super) isolated: Counted,
-    /// The most isolated one and the distance of its fourth neighbour, metres.
+    /// The most isolated one and the distance of its fourth neighbor, meters.
     pub(super) most_isolated: Option<(usize, f64)>,
 }
 
-/// Distances to the fourth neighbours, and what is far among them.
+/// Distances to the fourth neighbors, and what is far among them.
 pub(super) struct Distances {
     distance: Vec<f32>,
     isolation: Isolation,

@@ -12,7 +12,7 @@ pub(super) struct Rates {
     pub(super) multiply_adds: f64,
     /// Tables, orders and gathers of a network, seconds per voxel.
     pub(super) voxel: f64,
-    /// Neighbours that vote, and pictures, seconds per Gaussian.
+    /// Neighbors that vote, and pictures, seconds per Gaussian.
     pub(super) row: f64,
 }
 
@@ -22,7 +22,7 @@ pub(super) const ROW_ALONE: f64 = 1e-6;
 /// Program, weights and an empty picture, seconds.
 pub(super) const START: f64 = 0.6;
 
-/// The least and the most that an estimate is off, as factors: scenes vary in how many neighbours a
+/// The least and the most that an estimate is off, as factors: scenes vary in how many neighbors a
 /// voxel has, machines in clock and memory.
 pub(super) const SPREAD: [f64; 2] = [0.7, 2.0];
 

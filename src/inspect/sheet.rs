@@ -122,7 +122,7 @@ fn draw_views(picture: &mut RgbPicture, scene: &GaussianScene, seen: &Inspection
     let sizes = SceneRows::of(scene);
     let rows = sizes.rows(scene, &color);
     let bounds = seen.robust_bounds;
-    // Bounds are those of the centres; where there are few, the Gaussians themselves reach far out.
+    // Bounds are those of the centers; where there are few, the Gaussians themselves reach far out.
     let reach = if scene.len() < FEW { middle_radius(rows.radius) } else { 0.0 };
     let (low, high) = (bounds.low.map(|v| v - reach), bounds.high.map(|v| v + reach));
     let views = LevelViews::new(&rows, seen.up.axis, low, high);
@@ -171,7 +171,7 @@ impl<'a> Chart<'a> {
         fill(picture, [inner_left, base], [inner_width, 1], FAINT_INK);
         let bars = self.counts.len().max(1) as u32;
         let width = inner_width / bars;
-        // Centred, as the width is rarely a multiple of the number of bars.
+        // Centered, as the width is rarely a multiple of the number of bars.
         let first = inner_left + (inner_width - width * bars) / 2;
         for (i, &count) in (0..).zip(self.counts) {
             if count == 0 || highest == 0 {

@@ -9,16 +9,16 @@ use serde::Serialize;
 /// A unit of length.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
 pub enum LengthUnit {
-    /// Metres, or the free unit of an object that is about one unit large.
+    /// Meters, or the free unit of an object that is about one unit large.
     #[serde(rename = "m")]
     Metre,
-    /// Centimetres.
+    /// Centimeters.
     #[serde(rename = "cm")]
     Centimetre,
-    /// Millimetres.
+    /// Millimeters.
     #[serde(rename = "mm")]
     Millimetre,
-    /// Kilometres, or an object scaled to nearly nothing.
+    /// Kilometers, or an object scaled to nearly nothing.
     #[serde(rename = "km")]
     Kilometre,
 }
@@ -27,7 +27,7 @@ impl LengthUnit {
     /// All of them.
     pub const ALL: [Self; 4] = [Self::Metre, Self::Centimetre, Self::Millimetre, Self::Kilometre];
 
-    /// Its length, metres.
+    /// Its length, meters.
     pub fn metres(self) -> f64 {
         [1.0, 0.01, 0.001, 1000.0][self as usize]
     }
@@ -49,12 +49,12 @@ pub struct UnitGuess {
     pub evidence: String,
 }
 
-/// A scene this large, with Gaussians this far apart, is no capture in metres: an aerial survey of a
-/// kilometre has them closer, terrain of some hundred metres is smaller.
+/// A scene this large, with Gaussians this far apart, is no capture in meters: an aerial survey of a
+/// kilometer has them closer, terrain of some hundred meters is smaller.
 const LARGE: f64 = 600.0;
 const COARSE: f64 = 1.0;
 
-/// From here on a room is better explained by centimetres; terrain is as large, so it stays a remark.
+/// From here on a room is better explained by centimeters; terrain is as large, so it stays a remark.
 const ROOM_IN_CM: f64 = 150.0;
 
 /// Gaussians whose spacing is measured where a sample is enough.
@@ -63,24 +63,24 @@ const SAMPLE: usize = 50_000;
 /// Smaller than five voxels of 2 cm.
 const TINY: f64 = 0.1;
 
-/// From this confidence on networks read a scene in metres.
+/// From this confidence on networks read a scene in meters.
 const SURE: f64 = 0.9;
 
-/// Whether a unit other than the metre is so sure that networks read the scene scaled. Terrain
-/// sampled by the metre is as large as a room in millimetres, but flat.
+/// Whether a unit other than the meter is so sure that networks read the scene scaled. Terrain
+/// sampled by the meter is as large as a room in millimeters, but flat.
 pub(crate) fn is_surely_no_metre(guess: &UnitGuess, robust: &Bounds) -> bool {
     guess.unit != LengthUnit::Metre
         && guess.confidence >= SURE
         && robust.smallest_extent() > 0.15 * robust.largest_extent()
 }
 
-/// Whether the size alone leaves the metre in doubt; only then is the spacing worth measuring.
+/// Whether the size alone leaves the meter in doubt; only then is the spacing worth measuring.
 pub(crate) fn may_be_no_metre(robust: &Bounds) -> bool {
     let size = robust.largest_extent();
     size > ROOM_IN_CM || (0.0 < size && size < TINY)
 }
 
-/// Median distance to the fourth neighbour, by a sample of the Gaussians; `None` if there are too
+/// Median distance to the fourth neighbor, by a sample of the Gaussians; `None` if there are too
 /// few, or a coordinate is not finite.
 pub(crate) fn usual_spacing(coord: &[[f32; 3]]) -> Option<f64> {
     let tree = KdTree::new(coord).ok().filter(|_| coord.len() > NEIGHBOUR)?;
@@ -89,20 +89,20 @@ pub(crate) fn usual_spacing(coord: &[[f32; 3]]) -> Option<f64> {
     quantile(&mut to_fourth(&tree, &query), 0.5).map(f64::from)
 }
 
-/// Judges by the largest side of the robust box and the usual distance of neighbours, metres if the
-/// unit is the metre. `None` if the scene has no extent.
+/// Judges by the largest side of the robust box and the usual distance of neighbors, meters if the
+/// unit is the meter. `None` if the scene has no extent.
 pub(crate) fn guess_unit(robust: &Bounds, spacing: Option<f64>) -> Option<UnitGuess> {
     let size = robust.largest_extent();
     let spacing = spacing?;
     if size <= 0.0 {
         return None;
     }
-    let about = format!("{} units across, neighbours {} apart", short(size), short(spacing));
+    let about = format!("{} units across, neighbors {} apart", short(size), short(spacing));
     let upright = robust.smallest_extent() / size;
     Some(if size > LARGE && spacing > COARSE {
-        // Twice as large is twice as sure; a kilometre is the least that a survey has.
+        // Twice as large is twice as sure; a kilometer is the least that a survey has.
         let confidence = (0.6 + 0.2 * (size / LARGE).log2()).min(0.98);
-        let evidence = format!("{about}: nothing that is captured in metres is");
+        let evidence = format!("{about}: nothing that is captured in meters is");
         UnitGuess { unit: LengthUnit::Millimetre, confidence, evidence }
     } else if size < TINY {
         let evidence = format!("{about}: smaller than five voxels of 2 cm");

@@ -25,7 +25,7 @@ use scenesplat_scene::{AtomicFile, GaussianScene, TextTable};
 pub use served::{PageServer, Refusal, ServeEvent, Served, ServedPage};
 use std::path::Path;
 
-/// The licences of what the page is made of besides our own code.
+/// The licenses of what the page is made of besides our own code.
 pub const LICENSES: &str = include_str!("../../page/dist/LICENSES.txt");
 
 /// Most classes and most objects: 16 bits number them, and 0 is none.
@@ -51,7 +51,7 @@ pub struct PageInput<'a> {
     pub vocabulary: Option<&'a Vocabulary>,
     /// The rotation that brings +z up.
     pub upright: Matrix3,
-    /// What one unit of the scene is, metres.
+    /// What one unit of the scene is, meters.
     pub metres_per_unit: f64,
     /// What a reader has to know, such as that weights were seeded.
     pub remarks: &'a [String],

@@ -6,7 +6,7 @@ use scenesplat_objects::relations::{Relation, distance};
 
 /// Most pairs of a page: a megabyte of text. A furnished house of 800 objects has a tenth of them.
 const MOST: usize = 100_000;
-/// What is nearer than this is near, metres.
+/// What is nearer than this is near, meters.
 const NEAR: f64 = 1.0;
 /// The relations that a page can be asked for; of too many pairs the last kind is cut.
 const KINDS: [(Relation, &str); 5] = [

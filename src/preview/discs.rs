@@ -7,7 +7,7 @@ use scenesplat_scene::picture::RgbPicture;
 #[derive(Clone, Copy)]
 pub(super) struct Disc {
     pub(super) centre: [f32; 3],
-    /// Standard deviation, metres.
+    /// Standard deviation, meters.
     pub(super) radius: f32,
     pub(super) color: [u8; 3],
 }
@@ -17,21 +17,21 @@ pub(super) struct Lens {
     /// Directions of right, down and forward.
     pub(super) axes: [[f64; 3]; 3],
     pub(super) eye: [f64; 3],
-    /// Half views per metre, at distance 1 if perspective.
+    /// Half views per meter, at distance 1 if perspective.
     pub(super) scale: f64,
     pub(super) is_perspective: bool,
-    /// Extent of what is shown, metres.
+    /// Extent of what is shown, meters.
     pub(super) size: f64,
 }
 
 impl Lens {
-    /// Metres that a pixel covers, where that is one number.
+    /// Meters that a pixel covers, where that is one number.
     pub(super) fn metres_per_pixel(&self, view: u32) -> Option<f64> {
         let metres = 2.0 / (self.scale * f64::from(view));
         (!self.is_perspective && metres.is_finite()).then_some(metres)
     }
 
-    /// Position in half views, depth in metres, and half views per metre there.
+    /// Position in half views, depth in meters, and half views per meter there.
     fn project(&self, p: [f32; 3]) -> Option<[f64; 4]> {
         let offset: [f64; 3] = std::array::from_fn(|a| f64::from(p[a]) - self.eye[a]);
         let [x, y, depth] =

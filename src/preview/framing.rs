@@ -52,13 +52,13 @@ pub(super) struct Framing {
     uncut_low: [f64; 3],
     uncut_high: [f64; 3],
     is_cut_open: bool,
-    /// Some of the centres that are drawn, for aiming the camera.
+    /// Some of the centers that are drawn, for aiming the camera.
     sample: Vec<[f64; 3]>,
-    /// Space around centres, metres.
+    /// Space around centers, meters.
     border: f64,
 }
 
-/// Most centres that aim the camera.
+/// Most centers that aim the camera.
 const SAMPLE: usize = 5000;
 
 /// Share of the discs, at each end of an axis, that may be outliers.
@@ -132,7 +132,7 @@ impl Framing {
         (0..3).all(|a| (self.draw_low[a]..=self.draw_high[a]).contains(&f64::from(p[a])))
     }
 
-    /// Moves the limits of what is drawn inside the ceiling and the walls towards the camera, if
+    /// Moves the limits of what is drawn inside the ceiling and the walls toward the camera, if
     /// there are such on both sides.
     fn cut_open(&mut self, discs: &[Disc]) {
         let ceiling = self.covers(discs, 2, true) && self.covers(discs, 2, false);
@@ -239,7 +239,7 @@ impl Framing {
     }
 }
 
-/// Bounds of the centres without a share at each end, plus a border: never an empty box.
+/// Bounds of the centers without a share at each end, plus a border: never an empty box.
 fn bounds<'a>(
     discs: &(impl Iterator<Item = &'a Disc> + Clone),
     share: f64,

@@ -20,7 +20,7 @@ pub(super) const LEGEND_WIDTH: u32 = 340;
 /// Most classes that the legend lists.
 const LEGEND_ROWS: usize = 24;
 
-/// A bar of a round number of metres in the lower left corner of a view.
+/// A bar of a round number of meters in the lower left corner of a view.
 pub(super) fn draw_scale_bar(
     picture: &mut RgbPicture,
     lens: &Lens,

@@ -7,7 +7,7 @@ use scenesplat_scene::{Camera, Distortion, UpAxis};
 /// Where a camera stands, and what it looks at.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct LookAt {
-    /// Its centre, in the coordinates of the scene.
+    /// Its center, in the coordinates of the scene.
     pub eye: [f64; 3],
     /// A point in the middle of its picture.
     pub target: [f64; 3],

@@ -24,7 +24,7 @@ const MARGIN: f64 = 0.06;
 
 const LABEL_GROUND: [u8; 3] = [38, 40, 47];
 
-/// What is lower, metres, is no room, and is not cut open even if its sides are closed.
+/// What is lower, meters, is no room, and is not cut open even if its sides are closed.
 const LOWEST_ROOM: f64 = 1.8;
 
 impl Viewpoint {

@@ -13,7 +13,7 @@ pub fn write_png(path: &Path, picture: &RgbPicture) -> Result<u64, PreviewError>
     put_png(path, picture.encode_png())
 }
 
-/// As [`write_png`], of 16-bit grey values, row by row; `size`: width, height.
+/// As [`write_png`], of 16-bit gray values, row by row; `size`: width, height.
 ///
 /// # Errors
 /// As [`write_png`].

@@ -7,11 +7,11 @@ use scenesplat_scene::GaussianScene;
 /// What to draw, one row per Gaussian.
 #[derive(Debug, Clone, Copy)]
 pub struct PreviewRows<'a> {
-    /// Centres, metres. Rows that are not finite are left out. `[N, 3]`
+    /// Centers, meters. Rows that are not finite are left out. `[N, 3]`
     pub coord: &'a [[f32; 3]],
     /// Colors: of the scene, or [`class_color`](super::class_color) of its labels. `[N, 3]`
     pub color: &'a [[u8; 3]],
-    /// Size, metres: the standard deviation, say the middle one of three. `[N]`
+    /// Size, meters: the standard deviation, say the middle one of three. `[N]`
     pub radius: &'a [f32],
     /// Opacity in 0..=1; the faintest Gaussians are left out. `[N]`
     pub opacity: &'a [f32],
@@ -24,7 +24,7 @@ pub struct PreviewRows<'a> {
 pub struct SplatShapes<'a> {
     /// `w, x, y, z`, any norm. `[N, 4]`
     pub quat: &'a [[f32; 4]],
-    /// Standard deviations, metres. `[N, 3]`
+    /// Standard deviations, meters. `[N, 3]`
     pub scale: &'a [[f32; 3]],
 }
 

@@ -38,7 +38,7 @@ pub struct ProbeResult {
     pub miou: Option<f64>,
     /// Mean accuracy over the classes that occur, 0..=1.
     pub macc: Option<f64>,
-    /// Share of the labelled Gaussians that are right, 0..=1.
+    /// Share of the labeled Gaussians that are right, 0..=1.
     pub all_acc: Option<f64>,
     /// IoU of each class, 0..=1; `None` for one that does not occur.
     pub class_iou: Vec<Option<f64>>,
@@ -75,9 +75,9 @@ pub struct ProbeReport {
     pub train_scenes: Vec<String>,
     /// Names of the scenes that were scored.
     pub test_scenes: Vec<String>,
-    /// Labelled voxels there were to learn from.
+    /// Labeled voxels there were to learn from.
     pub labelled_rows: usize,
-    /// Labelled voxels that were learned from.
+    /// Labeled voxels that were learned from.
     pub learned_rows: usize,
     /// The network.
     pub backbone: ProbeResult,
@@ -184,7 +184,7 @@ fn classes_of<'a>(scenes: impl Iterator<Item = &'a ProbeScene>) -> Result<usize,
     largest.map(|label| label as usize + 1).ok_or(ProbeError::NoLabels)
 }
 
-/// Every labelled Gaussian takes the class of its voxel.
+/// Every labeled Gaussian takes the class of its voxel.
 fn score(
     classes_of: impl Fn(&ProbeScene) -> Result<Vec<i32>, ProbeError>,
     scenes: &[ProbeScene],

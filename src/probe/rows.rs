@@ -28,7 +28,7 @@ pub enum RowSource<'a> {
 pub enum LabelRegime {
     /// All.
     All,
-    /// This share of the labelled voxels of each scene, at least one; in 0..=1.
+    /// This share of the labeled voxels of each scene, at least one; in 0..=1.
     Share(f64),
     /// So many voxels of each scene.
     PerScene(usize),
@@ -159,7 +159,7 @@ fn check_finite(id: &str, rows: &Tensor) -> Result<(), ProbeError> {
     }
 }
 
-/// The labelled rows that a probe may learn from, by (seed, scene).
+/// The labeled rows that a probe may learn from, by (seed, scene).
 pub(super) fn choose(
     scenes: &[ProbeScene],
     regime: LabelRegime,

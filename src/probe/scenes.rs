@@ -32,7 +32,7 @@ impl DataSource for Part {
 
 impl ProbeScenes {
     /// `test`: how many of the last scenes are scored; a quarter, at least one, if not given.
-    /// `grid_size`: the network's voxels, metres.
+    /// `grid_size`: the network's voxels, meters.
     ///
     /// # Errors
     /// If there are not two scenes, or none would be left to learn from.

@@ -19,7 +19,7 @@ use scenesplat_trainers::checkpoint::{read_network, read_state, read_store};
 use scenesplat_trainers::tasks::self_supervised::{Compat, Reconstructor};
 use std::path::{Path, PathBuf};
 
-/// Sizes below this are drawn as this, metres.
+/// Sizes below this are drawn as this, meters.
 const LEAST_SIZE: f32 = 1e-4;
 
 /// Why nothing is reconstructed.
@@ -140,7 +140,7 @@ impl ReconstructionRun {
 
     /// Masks a scene by `seed` as training did, only that every scene is masked, and reconstructs it. The
     /// scene is read as networks read it, a Gaussian a voxel, and not augmented; z is up, lengths are
-    /// metres.
+    /// meters.
     ///
     /// # Errors
     /// If the scene has no Gaussian or is no input of the network.

@@ -63,7 +63,7 @@ impl Setting {
         match key {
             "voxel" => {
                 let read = value.parse().ok().filter(|v: &f64| v.is_finite() && *v > 0.0);
-                self.voxel = Some(read.ok_or_else(|| wrong("a length above 0, in metres"))?);
+                self.voxel = Some(read.ok_or_else(|| wrong("a length above 0, in meters"))?);
             }
             "net" if value.is_empty() => {
                 return Err(wrong("embedded, a configuration's name, or a model folder"));

@@ -27,7 +27,7 @@ impl Average {
         Ok(Self { decay, values: params.iter().map(copy).collect::<Result<_, TrainError>>()? })
     }
 
-    /// Moves towards the present values; `updates` counts the updates done before.
+    /// Moves toward the present values; `updates` counts the updates done before.
     ///
     /// # Errors
     /// If a parameter is gone or has another shape.

@@ -31,7 +31,7 @@ settings! {
         /// average. Off if absent.
         pub ema: Option<f64> = None,
         /// Parameters and batch statistics that stay as they are: parts of names. Each part must be in
-        /// some name. A batch norm whose statistics are frozen normalises by them in training too.
+        /// some name. A batch norm whose statistics are frozen normalizes by them in training too.
         pub freeze: Vec<String> = Vec::new(),
         /// Parameters that may go without gradient, such as a head whose term starts later: parts of
         /// names.

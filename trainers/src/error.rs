@@ -282,8 +282,8 @@ pub enum TrainError {
         /// Reasons, one a scene.
         reasons: Vec<String>,
     },
-    /// An evaluation saw no labelled row.
-    #[error("evaluation {name}: none of its {scenes} scenes has a labelled row")]
+    /// An evaluation saw no labeled row.
+    #[error("evaluation {name}: none of its {scenes} scenes has a labeled row")]
     NothingMeasured {
         /// Which evaluation.
         name: String,

@@ -20,7 +20,7 @@ pub struct StepContext<'a> {
 
 /// What a step returns. The trainer, not the module, runs `backward`.
 pub struct StepOutput {
-    /// What is minimised. Scalar f32
+    /// What is minimized. Scalar f32
     pub loss: Tensor,
     /// Rows of the batch.
     pub rows: usize,

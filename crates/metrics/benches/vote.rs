@@ -1,4 +1,4 @@
-//! The neighbour vote between the two halves of a room's points, tree included.
+//! The neighbor vote between the two halves of a room's points, tree included.
 #![allow(missing_docs, reason = "criterion's macros make undocumented items")]
 
 #[path = "../../kernels/benches/support/mod.rs"]
@@ -12,7 +12,7 @@ fn votes(c: &mut Criterion) {
     const NUM_CLASSES: usize = 20;
     let points = points();
     let (reference, query) = points.split_at(points.len() / 2);
-    // Labels by place, as real ones: patches of half a metre.
+    // Labels by place, as real ones: patches of half a meter.
     let labels: Vec<i32> = reference
         .iter()
         .map(|p| (p.iter().map(|v| (v / 0.5) as i32).sum::<i32>()).rem_euclid(NUM_CLASSES as i32))

@@ -14,7 +14,7 @@ use rayon::prelude::*;
 ///
 /// `(Σλ)² / Σλ²` over the eigenvalues `λ` of the covariance, also called participation ratio: the
 /// exponential of their Rényi entropy of order 2. Equal spread in `k` directions gives `k`, and no
-/// eigenvalue has to be computed for it: with centred rows `x` it is `(Σ‖xᵢ‖²)² / Σᵢⱼ⟨xᵢ,xⱼ⟩²`.
+/// eigenvalue has to be computed for it: with centered rows `x` it is `(Σ‖xᵢ‖²)² / Σᵢⱼ⟨xᵢ,xⱼ⟩²`.
 ///
 /// `None` for less than two usable rows or equal rows.
 ///

@@ -81,7 +81,7 @@ impl ConfusionMatrix {
         &self.counts
     }
 
-    /// `[num_classes]`, labelled rows without a prediction, by true class.
+    /// `[num_classes]`, labeled rows without a prediction, by true class.
     pub fn unassigned(&self) -> &[u64] {
         &self.unassigned
     }

@@ -80,7 +80,7 @@ pub enum MetricError {
         what: &'static str,
         /// Its first offending row.
         row: usize,
-        /// The coordinate found, metres.
+        /// The coordinate found, meters.
         value: [f32; 3],
     },
     /// More rows than a 32-bit row number can tell apart.

@@ -1,4 +1,4 @@
-//! From features to labels to numbers: zero-shot classification, neighbour votes, streaming
+//! From features to labels to numbers: zero-shot classification, neighbor votes, streaming
 //! metrics, and a guard that proves the whole chain on known truth.
 //!
 //! Everything works on slices and plain structs. There is no tensor library, no file format and no
@@ -14,11 +14,11 @@
 //!
 //! # Conventions
 //! - A **label** is an `i32`: `0..num_classes` is a class, `-1` ([`IGNORE`]) is none. Any other
-//!   value is an error that names its row, never silently dropped: data sets that mark unlabelled
+//!   value is an error that names its row, never silently dropped: data sets that mark unlabeled
 //!   rows with 255 map it first.
 //! - Ties go to the smallest id, everywhere.
 //! - Rows are processed in parallel, and no result depends on the number of threads.
-//! - A number that cannot be computed (no labelled row, say) is `None`, never NaN.
+//! - A number that cannot be computed (no labeled row, say) is `None`, never NaN.
 //!
 //! # Two definitions of mIoU
 //! The original code computes its metrics in two places which disagree. Both are here under their
@@ -84,8 +84,8 @@ pub use zero_shot::{
     sigmoid_threshold_to_cosine,
 };
 
-/// Exact nearest neighbours, re-exported from the kernels.
+/// Exact nearest neighbors, re-exported from the kernels.
 pub use scenesplat_kernels::neighbors::{KdTree, Neighbor};
 
-/// The label of a row that has none: unlabelled truth, or a prediction that was withheld.
+/// The label of a row that has none: unlabeled truth, or a prediction that was withheld.
 pub const IGNORE: i32 = -1;

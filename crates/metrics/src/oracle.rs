@@ -12,14 +12,14 @@ use std::fmt;
 /// The voting step of an [`OracleCheck`].
 #[derive(Debug, Clone, Copy)]
 pub struct OracleVote<'a> {
-    /// `[N, 3]` metres, where the classified rows are.
+    /// `[N, 3]` meters, where the classified rows are.
     pub coord: &'a [[f32; 3]],
     /// `[N]`, which rows vote; all if `None`.
     pub valid: Option<&'a [bool]>,
-    /// `[M, 3]` metres and `[M]` true labels of the points that are scored; the rows themselves if
+    /// `[M, 3]` meters and `[M]` true labels of the points that are scored; the rows themselves if
     /// `None`.
     pub query: Option<(&'a [[f32; 3]], &'a [i32])>,
-    /// Neighbours per vote.
+    /// Neighbors per vote.
     pub k: usize,
     /// Whether rows without a class stay without one after the vote; without `query` only.
     pub keep_unknown: bool,
@@ -36,7 +36,7 @@ pub struct Fault {
 
 /// Runs the evaluation chain on features whose right answer is known.
 ///
-/// Every labelled row gets the text row of its own class as its feature, every unlabelled one a
+/// Every labeled row gets the text row of its own class as its feature, every unlabeled one a
 /// zero row. [`run`](Self::run) then calls the same functions as an evaluation,
 /// [`classify`], [`vote`], [`ConfusionMatrix`], and compares their results, row by row and count by
 /// count, with what must come out:
@@ -48,7 +48,7 @@ pub struct Fault {
 ///    close one.
 ///
 /// Labels shifted by one, a table in another order than the class names, a class map applied twice,
-/// rows permuted between features and labels, a broken neighbour search: each of these turns real
+/// rows permuted between features and labels, a broken neighbor search: each of these turns real
 /// results into plausible nonsense, and each fails here. A metric below 1 is not a failure by
 /// itself, as a vote smooths true labels, too.
 ///
@@ -265,7 +265,7 @@ impl<'a> OracleCheck<'a> {
         Ok(classify(&features, self.text, &self.options)?.labels)
     }
 
-    /// `[C]`, what a row whose feature is the text row of a class must be labelled. Classes without
+    /// `[C]`, what a row whose feature is the text row of a class must be labeled. Classes without
     /// rows are not looked at and answer themselves.
     fn class_answers(&self) -> Result<Vec<i32>, MetricError> {
         let num_classes = self.text.num_classes();

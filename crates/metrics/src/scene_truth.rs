@@ -8,15 +8,15 @@ use std::borrow::Cow;
 const LABELS: &str = "labels";
 const POINT_LABELS: &str = "labels of points";
 
-/// Positions, metres, with their classes. `[M, 3]` and `[M]`
+/// Positions, meters, with their classes. `[M, 3]` and `[M]`
 type LabelledAt<'a> = (&'a [[f32; 3]], Cow<'a, [i32]>);
 
 /// How the labels of Gaussians get to where a scene is scored.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct VoteRule {
-    /// Neighbours that vote for a labelled point; at least one does.
+    /// Neighbors that vote for a labeled point; at least one does.
     pub points_k: usize,
-    /// Neighbours that vote for a Gaussian, where the Gaussians themselves are scored; below 2 none
+    /// Neighbors that vote for a Gaussian, where the Gaussians themselves are scored; below 2 none
     /// do.
     pub gaussians_k: usize,
     /// Whether Gaussians whose class was withheld stay without one after a vote among themselves.
@@ -24,7 +24,7 @@ pub struct VoteRule {
 }
 
 impl VoteRule {
-    /// The same number of neighbours for points and Gaussians.
+    /// The same number of neighbors for points and Gaussians.
     pub fn of(k: usize) -> Self {
         Self { points_k: k, gaussians_k: k, keep_withheld: false }
     }
@@ -32,7 +32,7 @@ impl VoteRule {
 
 /// What is known of the classes of one scene, and where: one scene of an evaluation.
 ///
-/// A scene with labelled points of its own is scored there, each point by the vote of the Gaussians
+/// A scene with labeled points of its own is scored there, each point by the vote of the Gaussians
 /// around it; any other at its Gaussians. Evaluations of whole scenes and evaluations inside training
 /// both score by this, so their numbers are the same.
 ///
@@ -58,10 +58,10 @@ pub struct SceneTruth<'a> {
 
 impl<'a> SceneTruth<'a> {
     /// `points` are scored if given, else the Gaussians. Where no Gaussian has a class, each is taken
-    /// to have that of the labelled point nearest to it. `None` if there are no labels at all.
+    /// to have that of the labeled point nearest to it. `None` if there are no labels at all.
     ///
     /// # Shapes
-    /// - `coord`: `[N, 3]` metres · `labels`: `[N]` · `points`: `[M, 3]` metres and `[M]`
+    /// - `coord`: `[N, 3]` meters · `labels`: `[N]` · `points`: `[M, 3]` meters and `[M]`
     /// - labels are below `num_classes`, or -1
     ///
     /// # Errors
@@ -148,7 +148,7 @@ impl<'a> SceneTruth<'a> {
         self.points.as_ref().map_or(&self.labels, |(_, labels)| labels)
     }
 
-    /// Where it is scored: the places of the points, or of the Gaussians, metres.
+    /// Where it is scored: the places of the points, or of the Gaussians, meters.
     pub fn places(&self) -> &[[f32; 3]] {
         self.points.as_ref().map_or(self.coord, |(at, _)| at)
     }
@@ -163,7 +163,7 @@ impl<'a> SceneTruth<'a> {
         self.scored().iter().any(|&label| label != IGNORE)
     }
 
-    /// Whether labelled points are scored rather than Gaussians.
+    /// Whether labeled points are scored rather than Gaussians.
     pub fn scores_points(&self) -> bool {
         self.points.is_some()
     }
@@ -173,7 +173,7 @@ impl<'a> SceneTruth<'a> {
         self.num_classes
     }
 
-    /// Neighbours that vote on what is scored; `None` for no vote.
+    /// Neighbors that vote on what is scored; `None` for no vote.
     fn k(&self, rule: &VoteRule) -> Option<usize> {
         match self.points {
             Some(_) => Some(rule.points_k.max(1)),

@@ -1,4 +1,4 @@
-//! A second implementation of the neighbour vote that shares no search with the first: slabs along
+//! A second implementation of the neighbor vote that shares no search with the first: slabs along
 //! one axis, each sorted along a second, and for each query a walk to both sides until one axis
 //! alone is too far. Several times slower than the tree, and still fit for whole scenes.
 

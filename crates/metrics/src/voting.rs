@@ -14,18 +14,18 @@ pub fn keep_withheld(before: &[i32], after: &mut [i32]) {
     }
 }
 
-/// The majority label among the `k` nearest labelled points, for each query point.
+/// The majority label among the `k` nearest labeled points, for each query point.
 ///
 /// Carries labels from splats to the points a benchmark is scored on, and smooths them.
 ///
 /// - Only points with `valid` vote (all if `None`). A voter without a label (-1) takes up one of the
 ///   `k` places and counts for no class.
 /// - Equally near points: the smaller row is nearer. Equally frequent labels: the smaller class wins.
-/// - If no neighbour has a label, or there is no voter, the result is -1.
+/// - If no neighbor has a label, or there is no voter, the result is -1.
 /// - `k` is cut to the number of voters.
 ///
 /// # Shapes
-/// - `reference`: `[N, 3]` metres · `labels`: `[N]` · `valid`: `[N]` · `query`: `[M, 3]` metres
+/// - `reference`: `[N, 3]` meters · `labels`: `[N]` · `valid`: `[N]` · `query`: `[M, 3]` meters
 /// - returns `[M]`, -1 or below `num_classes`
 ///
 /// # Errors

@@ -15,7 +15,7 @@ const KINDS: [(&str, [f64; 2]); 5] = [
     ("middle / largest size", [0.0, 1.0]),
     ("opacity", [0.0, 1.0]),
     ("largest size / spacing, log10", [-1.5, 1.5]),
-    ("normal against its neighbourhood's, cosine", [0.0, 1.0]),
+    ("normal against its neighborhood's, cosine", [0.0, 1.0]),
 ];
 const BINS: usize = 48;
 /// Rooms of each kind.
@@ -69,7 +69,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     Ok(())
 }
 
-/// The rows of a scene, each in a cell of the size of some neighbours.
+/// The rows of a scene, each in a cell of the size of some neighbors.
 fn add(scene: &GaussianScene, values: &mut Values) {
     let sorted = |row: usize| {
         let mut s = scene.scale(row).map(f64::from);
@@ -112,7 +112,7 @@ fn smallest_axis(scene: &GaussianScene, row: usize) -> [f64; 3] {
     rotation(q.map(|v| v / norm)).map(|row| row[axis])
 }
 
-/// The mean of directions without a sign, by a few turns towards the half that each is in.
+/// The mean of directions without a sign, by a few turns toward the half that each is in.
 fn common(normals: &[[f64; 3]]) -> [f64; 3] {
     let mut mean = normals[0];
     for _ in 0..4 {

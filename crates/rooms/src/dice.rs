@@ -63,7 +63,7 @@ pub(crate) fn scramble(x: i64, y: i64, salt: u32) -> f64 {
     (finished(bits) >> 40) as f64 / f64::from(1_u32 << 24)
 }
 
-/// The finisher of splitmix64: results of neighbouring inputs share nothing.
+/// The finisher of splitmix64: results of neighboring inputs share nothing.
 pub(crate) fn finished(mut bits: u64) -> u64 {
     bits = (bits ^ (bits >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
     bits = (bits ^ (bits >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);

@@ -15,7 +15,7 @@ const ROOMS: [u32; 2] = [2, 6];
 #[derive(Debug)]
 pub(crate) struct Flat {
     parts: Vec<(Layout, Pose)>,
-    /// Extent, metres; the least corner at the origin.
+    /// Extent, meters; the least corner at the origin.
     size: V3,
     /// How many rooms, without the corridor.
     pub(crate) num_rooms: usize,
@@ -24,7 +24,7 @@ pub(crate) struct Flat {
 /// Rooms in a row on one side of the corridor.
 struct Row {
     rooms: Vec<Layout>,
-    /// Where each begins along the corridor, metres.
+    /// Where each begins along the corridor, meters.
     starts: Vec<f64>,
     length: f64,
     depth: f64,
@@ -41,7 +41,7 @@ impl Flat {
     }
 
     /// Two to six rooms, the first of this kind; as thick as the walls between them are, so far apart are the
-    /// faces of neighbours.
+    /// faces of neighbors.
     pub(crate) fn furnish(first: RoomKind, stock: &mut Stock, rng: &mut SampleRng) -> Self {
         let num_rooms = whole(rng, ROOMS[0], ROOMS[1]) as usize;
         let is_one_sided = num_rooms < 4 && chance(rng, 0.3);
@@ -129,7 +129,7 @@ impl Row {
     ) -> Self {
         let mut row = Self { rooms: Vec::new(), starts: Vec::new(), length: 0.0, depth: 0.0 };
         for (index, &kind) in kinds.iter().enumerate() {
-            // The corridor is at the bottom of each, neighbours beside it.
+            // The corridor is at the bottom of each, neighbors beside it.
             let inner = [true, index + 1 < kinds.len(), false, index > 0];
             let flat = InFlat { inner, ..*flat };
             let room = recipe::furnish_in(kind, Some(&flat), stock, rng);

@@ -1,6 +1,6 @@
-//! Builders of objects, one function per class. Each draws shape, size, colours and materials.
+//! Builders of objects, one function per class. Each draws shape, size, colors and materials.
 //!
-//! Sizes are those of furniture shops: metres, with wide ranges.
+//! Sizes are those of furniture shops: meters, with wide ranges.
 
 pub(crate) mod bathroom;
 pub(crate) mod bedroom;

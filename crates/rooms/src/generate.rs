@@ -26,7 +26,7 @@ use std::sync::Arc;
 /// Most Gaussians of a room.
 pub const MAX_GAUSSIANS: usize = 20_000_000;
 
-/// Gaussians lie at most this far outside the bounds of their object, metres.
+/// Gaussians lie at most this far outside the bounds of their object, meters.
 pub const MAX_STRAY: f32 = splats::MAX_STRAY as f32 + 1e-4;
 
 /// Streams of random numbers of a room; objects have those from `FIRST_OBJECT` on.
@@ -55,7 +55,7 @@ pub enum Capture {
     /// swollen; rough surfaces; more floaters and larger holes; what lies below the floor.
     Scan,
     /// As points of the models of a simulator: the density of each object, and of the room, its own, so that
-    /// nothing of it tells the class; hardly any light; most things of one colour.
+    /// nothing of it tells the class; hardly any light; most things of one color.
     Model,
 }
 
@@ -67,7 +67,7 @@ pub struct SyntheticRoomSettings {
     pub seed: u64,
     /// Number of the room among those of a seed.
     pub room: u64,
-    /// Gaussians per square metre of floor or wall, above 0; furniture gets up to twice, small
+    /// Gaussians per square meter of floor or wall, above 0; furniture gets up to twice, small
     /// things up to nine times as many (unless [`capture`](Self::capture) says otherwise). 500 fills most
     /// voxels of 4 cm, 2 500 those of 2 cm.
     pub gaussians_per_m2: f32,
@@ -155,9 +155,9 @@ pub struct SyntheticObject {
     pub name: String,
     /// Its value in `instance`: its index in [`SyntheticRoom::objects`].
     pub instance: i32,
-    /// What the colour of its main part is called, before light falls on it.
+    /// What the color of its main part is called, before light falls on it.
     pub color: ColorName,
-    /// Corners of the box along the axes around its surfaces, metres; Gaussians stray from it by
+    /// Corners of the box along the axes around its surfaces, meters; Gaussians stray from it by
     /// up to [`MAX_STRAY`].
     pub bounds: [[f32; 3]; 2],
 }
@@ -166,9 +166,9 @@ pub struct SyntheticObject {
 #[derive(Debug, Clone, PartialEq)]
 pub struct SyntheticRoom {
     /// The Gaussians, with normals, `segment` (row of [`CLASSES`](crate::CLASSES)) and `instance`; +z is up, the
-    /// floor at z = 0, metres. Only floaters have the labels −1, and things without a class the class −1.
+    /// floor at z = 0, meters. Only floaters have the labels −1, and things without a class the class −1.
     pub scene: GaussianScene,
-    /// Extent of the room, metres; the corner at the origin.
+    /// Extent of the room, meters; the corner at the origin.
     pub size: [f32; 3],
     /// What kind it is; of a flat, its first room.
     pub kind: RoomKind,

@@ -1,5 +1,5 @@
 //! Furnished rooms as Gaussians with exact class and instance labels: data for training that needs
-//! no download and no licence form.
+//! no download and no license form.
 //!
 //! A room is laid out (kind, plan, openings, furniture, clutter), every object is a set of surfaces
 //! with textures, and Gaussians are scattered on the surfaces. The same settings give the same
@@ -18,7 +18,7 @@
 //! | guitar, 90 854 | 0.42 1.2 **2.4** 3.9 7.2 | 4.0 14 **34** 101 775 | .02 .07 **.24** .74 .99 |
 //! | room corner, badly converged, 116 906 | 0.28 0.69 **1.3** 2.4 6.8 | 2.2 9.1 **26** 71 657 | .01 .02 **.05** .09 .23 |
 //!
-//! The spacing is 1/√(Gaussians per area), taken from the distance of the fourth neighbour, which
+//! The spacing is 1/√(Gaussians per area), taken from the distance of the fourth neighbor, which
 //! is 1.09 of it on a plane. Middle ÷ largest σ of the robot: .06 .18 **.34** .56 .84; smallest ÷
 //! middle: .01 .06 **.17** .38 .72; each of the three stored axes is the smallest equally often.
 //! Isolated Gaussians: 0.3 % in the room corner. From these come, per room: median of the largest σ

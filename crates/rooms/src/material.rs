@@ -1,10 +1,10 @@
-//! What surfaces are made of: named colours and textures.
+//! What surfaces are made of: named colors and textures.
 
 use crate::dice::{between, chance, pick, scramble, smooth_noise, whole};
 use crate::vector::{V3, mix};
 use scenesplat_kernels::random::SampleRng;
 
-/// A basic colour word of English, as objects are described by.
+/// A basic color word of English, as objects are described by.
 #[derive(
     Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord, serde::Serialize, serde::Deserialize,
 )]
@@ -58,7 +58,7 @@ impl ColorName {
         COLORS[self as usize].0
     }
 
-    /// The name whose middle colour is the nearest, sRGB 0..=255.
+    /// The name whose middle color is the nearest, sRGB 0..=255.
     pub(crate) fn nearest(color: V3) -> Self {
         let far = |name: Self| {
             let (from, to) = name.range();
@@ -70,7 +70,7 @@ impl ColorName {
         all.fold(first, |best, next| if next.1 < best.1 { next } else { best }).0
     }
 
-    /// A colour of this name, sRGB 0..=255.
+    /// A color of this name, sRGB 0..=255.
     pub(crate) fn sample(self, rng: &mut SampleRng) -> V3 {
         let (from, to) = self.range();
         mix(from, to, between(rng, 0.0, 1.0)).map(|c| c + between(rng, -5.0, 5.0))
@@ -99,7 +99,7 @@ const COLORS: [(&str, V3, V3); 12] = [
     ("pink", [218.0, 130.0, 150.0], [242.0, 186.0, 198.0]),
 ];
 
-/// How colour varies over a surface. Lengths in metres.
+/// How color varies over a surface. Lengths in meters.
 #[derive(Debug, Clone, Copy)]
 pub(crate) enum Texture {
     Plain,
@@ -109,15 +109,15 @@ pub(crate) enum Texture {
     Grain(f64),
     /// Boards of this width and length, each its own shade, with joints.
     Boards(f64, f64),
-    /// Tiles of this size with joints of the second colour.
+    /// Tiles of this size with joints of the second color.
     Tiles(f64),
-    /// Squares of two colours.
+    /// Squares of two colors.
     Checks(f64),
-    /// Stripes of two colours across the first direction.
+    /// Stripes of two colors across the first direction.
     Stripes(f64),
-    /// Upright stripes, each in a colour of its own: backs of books.
+    /// Upright stripes, each in a color of its own: backs of books.
     Books(f64),
-    /// Blots of three colours: a painting.
+    /// Blots of three colors: a painting.
     Painting(f64),
     /// Dark grid on keys of this size.
     Keys(f64),
@@ -127,12 +127,12 @@ pub(crate) enum Texture {
     Sheen(f64),
 }
 
-/// Colours and texture of a surface.
+/// Colors and texture of a surface.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Material {
-    /// Main colour, sRGB 0..=255.
+    /// Main color, sRGB 0..=255.
     pub(crate) base: V3,
-    /// Second colour of the texture.
+    /// Second color of the texture.
     pub(crate) second: V3,
     pub(crate) texture: Texture,
     /// Makes textures of equal materials differ.
@@ -158,7 +158,7 @@ impl Material {
         Self { base: self.base.map(|c| c * by), second: self.second.map(|c| c * by), ..self }
     }
 
-    /// Colour at a place of the surface, sRGB; may leave 0..=255 a little.
+    /// Color at a place of the surface, sRGB; may leave 0..=255 a little.
     pub(crate) fn color_at(&self, [s, t]: [f64; 2]) -> V3 {
         let shade = |by: f64| self.base.map(|c| c + by);
         let either =
@@ -191,7 +191,7 @@ impl Material {
             Texture::Checks(size) => either((s / size).floor() + (t / size).floor()),
             Texture::Stripes(width) => either((s / width).floor()),
             Texture::Books(width) => {
-                // Some books are wider: neighbours share a place.
+                // Some books are wider: neighbors share a place.
                 let place = (s / width + 0.6 * noise(s / width, 0.0, 0)).floor() as i64;
                 let channel = |k| 30.0 + 200.0 * scramble(place, k, self.salt);
                 [channel(1), channel(2), channel(3)]
@@ -235,7 +235,7 @@ impl Material {
     }
 }
 
-/// A material and what its colour is called.
+/// A material and what its color is called.
 pub(crate) type Named = (ColorName, Material);
 
 fn woven(rng: &mut SampleRng) -> Texture {
@@ -247,7 +247,7 @@ fn woven(rng: &mut SampleRng) -> Texture {
     }
 }
 
-/// Cloth of any colour, sometimes patterned.
+/// Cloth of any color, sometimes patterned.
 pub(crate) fn fabric(rng: &mut SampleRng) -> Named {
     let name = pick(rng, &ColorName::ALL);
     let base = name.sample(rng);
@@ -269,7 +269,7 @@ pub(crate) fn wood(rng: &mut SampleRng) -> Named {
     (name, Material::new(base, grain, rng).with_second(base.map(|c| c * between(rng, 0.68, 0.88))))
 }
 
-/// Painted or moulded: any colour, plain, with more white, black and grey.
+/// Painted or moulded: any color, plain, with more white, black and gray.
 pub(crate) fn painted(rng: &mut SampleRng) -> Named {
     use ColorName::{Black, Grey, White};
     let name = if chance(rng, 0.6) {
@@ -280,7 +280,7 @@ pub(crate) fn painted(rng: &mut SampleRng) -> Named {
     (name, Material::plain(name.sample(rng)))
 }
 
-/// Metal: grey, black, or brass.
+/// Metal: gray, black, or brass.
 pub(crate) fn metal(rng: &mut SampleRng) -> Named {
     use ColorName::{Black, Grey, White, Yellow};
     let name = pick(rng, &[Grey, Grey, Black, White, Yellow]);
@@ -296,7 +296,7 @@ pub(crate) fn ceramic(rng: &mut SampleRng) -> Named {
     (name, Material::plain(name.sample(rng)))
 }
 
-/// Dark electronics, sometimes grey or white.
+/// Dark electronics, sometimes gray or white.
 pub(crate) fn casing(rng: &mut SampleRng) -> Named {
     use ColorName::{Black, Grey, White};
     let name = pick(rng, &[Black, Black, Black, Grey, White]);
@@ -339,7 +339,7 @@ mod tests {
 
     #[test]
     fn names_tell_samples_apart() {
-        // The nearest name by mean colour is the right one for most samples.
+        // The nearest name by mean color is the right one for most samples.
         let mut rng = sample_rng(2, 0, 0);
         let mean = |name: ColorName, rng: &mut SampleRng| {
             (0..200).fold([0.0; 3], |s: V3, _| {

@@ -30,7 +30,7 @@ pub(crate) struct Surface {
     pub(crate) material: Material,
     /// Gaussians per area, relative to a plain wall.
     pub(crate) density: f64,
-    /// Whether no camera saw it: undersides, backs towards a wall. Points sampled from a mesh have
+    /// Whether no camera saw it: undersides, backs toward a wall. Points sampled from a mesh have
     /// them, captures do not.
     pub(crate) hidden: bool,
 }
@@ -41,7 +41,7 @@ pub(crate) struct Support {
     pub(crate) low: [f64; 2],
     pub(crate) high: [f64; 2],
     pub(crate) z: f64,
-    /// Height of what fits, metres.
+    /// Height of what fits, meters.
     pub(crate) clearance: f64,
 }
 
@@ -51,7 +51,7 @@ pub(crate) struct OfPiece {
     pub(crate) piece: Arc<Piece>,
     /// What its name is.
     pub(crate) name: Arc<str>,
-    /// Height above the floor that its library gives it, metres.
+    /// Height above the floor that its library gives it, meters.
     pub(crate) elevation: f64,
     /// Where its origin is in the frame of the object.
     pub(crate) at: V3,
@@ -66,7 +66,7 @@ impl OfPiece {
         varied(self.piece.bounds, self.variation.as_ref()).moved(self.at)
     }
 
-    /// Area with everything inside, or of what is seen from outside, square metres.
+    /// Area with everything inside, or of what is seen from outside, square meters.
     pub(crate) fn area(&self, with_hidden: bool) -> f64 {
         match &self.variation {
             None => self.piece.area(with_hidden),
@@ -74,7 +74,7 @@ impl OfPiece {
         }
     }
 
-    /// A random point of the surface in the frame of the object, and its colour.
+    /// A random point of the surface in the frame of the object, and its color.
     pub(crate) fn sample(&self, with_hidden: bool, rng: &mut SampleRng) -> (SurfacePoint, V3) {
         let (point, color) = self.piece.sample(with_hidden, rng);
         let (point, color) = match &self.variation {
@@ -148,7 +148,7 @@ impl Model {
         self.add(Shape::Ring { centre, u, v, rod, half: false }, material);
     }
 
-    /// A rod bent around the half of an ellipse towards `v`.
+    /// A rod bent around the half of an ellipse toward `v`.
     pub(crate) fn arc(&mut self, centre: V3, u: V3, v: V3, rod: f64, material: Material) {
         self.add(Shape::Ring { centre, u, v, rod, half: true }, material);
     }
@@ -169,7 +169,7 @@ impl Model {
         self.soft_block(low, high, 0.0, material);
     }
 
-    /// A box whose top and sides stand out in the middle by `bulge` metres.
+    /// A box whose top and sides stand out in the middle by `bulge` meters.
     pub(crate) fn soft_block(&mut self, low: V3, high: V3, bulge: f64, material: Material) {
         let d = sub(high, low);
         let (x, y, z) = ([d[0], 0.0, 0.0], [0.0, d[1], 0.0], [0.0, 0.0, d[2]]);

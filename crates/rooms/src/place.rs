@@ -9,7 +9,7 @@ use scenesplat_kernels::random::{SampleRng, cos_sin};
 /// Places tried before an object is left out.
 const TRIES: u32 = 40;
 
-/// Boxes may overlap by this much, metres: things that touch are not in each other.
+/// Boxes may overlap by this much, meters: things that touch are not in each other.
 pub(crate) const TOUCH: f64 = 0.004;
 
 /// Where an object stands and which way its x axis points.
@@ -116,14 +116,14 @@ pub(crate) struct Wall {
     /// Unit.
     pub(crate) along: [f64; 2],
     pub(crate) length: f64,
-    /// `[from, to, low, high]` of each hole, metres.
+    /// `[from, to, low, high]` of each hole, meters.
     pub(crate) openings: Vec<[f64; 4]>,
-    /// How far behind its face its back is, metres; none where another room is behind it.
+    /// How far behind its face its back is, meters; none where another room is behind it.
     pub(crate) back: Option<f64>,
 }
 
 impl Wall {
-    /// The frame of something on the wall, `at` metres along it and `z` high.
+    /// The frame of something on the wall, `at` meters along it and `z` high.
     pub(crate) fn pose(&self, at: f64, off: f64, z: f64) -> Pose {
         let [x, y] = self.along;
         let origin = [self.start[0] + x * at - y * off, self.start[1] + y * at + x * off, z];
@@ -142,7 +142,7 @@ pub(crate) struct Placed {
 /// A room being furnished.
 #[derive(Debug)]
 pub(crate) struct Layout {
-    /// Extent of the plan, metres.
+    /// Extent of the plan, meters.
     pub(crate) size: [f64; 2],
     pub(crate) height: f64,
     pub(crate) walls: Vec<Wall>,

@@ -47,7 +47,7 @@ impl RoomKind {
         Self::ALL[weighted(rng, &Self::WEIGHTS)]
     }
 
-    /// Smallest and largest side of the plan, metres.
+    /// Smallest and largest side of the plan, meters.
     fn sides(self) -> [f64; 2] {
         match self {
             Self::Living => [3.4, 6.0],

@@ -11,7 +11,7 @@ pub(crate) struct Scan {
     /// Factor of the number of Gaussians.
     pub(crate) density: f64,
     pub(crate) objects: Vec<ScannedObject>,
-    /// Share of the Gaussians that lie below the floor, and how deep, metres.
+    /// Share of the Gaussians that lie below the floor, and how deep, meters.
     pub(crate) below: f64,
     pub(crate) deep: f64,
     shrink: f64,
@@ -32,7 +32,7 @@ pub(crate) struct ScannedObject {
     pub(crate) density: f64,
     /// Logarithm of what they are larger by.
     pub(crate) ln_size: f64,
-    /// Whether it is of one colour, whatever its texture.
+    /// Whether it is of one color, whatever its texture.
     pub(crate) is_plain: bool,
 }
 
@@ -77,7 +77,7 @@ impl Scan {
     }
 
     /// As points of the models of a simulator differ: a density of each object, whatever it is, hardly any
-    /// light, and most things of one colour.
+    /// light, and most things of one color.
     pub(crate) fn of_models(num_objects: usize, rng: &mut SampleRng) -> Self {
         let plain = between(rng, 0.3, 1.0);
         Self {

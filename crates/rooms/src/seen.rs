@@ -15,10 +15,10 @@ const WIDE: usize = 128;
 const HIGH: usize = 96;
 const FOCAL: f64 = 80.0;
 
-/// Nearer than this nothing is in the picture, metres.
+/// Nearer than this nothing is in the picture, meters.
 const NEAR: f64 = 0.15;
 
-/// Depths are sorted in steps of this, metres.
+/// Depths are sorted in steps of this, meters.
 const STEP: f64 = 0.004;
 
 /// Steps of depth: beyond the last all is one.

@@ -50,16 +50,16 @@ pub(crate) struct SurfacePoint {
     pub(crate) normal: V3,
     /// Unit, in the surface: along the nearest edge, or along a slender piece.
     pub(crate) tangent: V3,
-    /// Place on the surface, metres: what textures are a function of.
+    /// Place on the surface, meters: what textures are a function of.
     pub(crate) st: [f64; 2],
-    /// Distance from the nearest edge, metres; a large number where there is none.
+    /// Distance from the nearest edge, meters; a large number where there is none.
     pub(crate) edge: f64,
 }
 
 /// Folds of a patch, across its first direction.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Wave {
-    /// Half the depth of a fold, metres.
+    /// Half the depth of a fold, meters.
     pub(crate) amplitude: f64,
     /// Number of folds.
     pub(crate) count: f64,
@@ -67,11 +67,11 @@ pub(crate) struct Wave {
     pub(crate) phase: f64,
 }
 
-/// A piece of surface, z up, metres.
+/// A piece of surface, z up, meters.
 #[derive(Debug, Clone, Copy)]
 pub(crate) enum Shape {
     /// Between four corners (at 0 0, 1 0, 0 1, 1 1); the normal is that of the first direction
-    /// times the second. `bulge` metres stand out in the middle.
+    /// times the second. `bulge` meters stand out in the middle.
     Patch { corners: [V3; 4], bulge: f64, wave: Option<Wave> },
     /// Tube or cone without ends. Only the directions whose cosine with `toward` is at least
     /// `arc` exist; −1 is all around.
@@ -79,7 +79,7 @@ pub(crate) enum Shape {
     /// Ellipse with half axes `u` and `v` and a hole of this share of its radius; normal `u × v`.
     Disc { centre: V3, u: V3, v: V3, hole: f64 },
     /// Part `from..to` (of −1..1, along the third axis) of an ellipsoid with perpendicular half
-    /// axes; 0 is round, towards 1 it nears the box around it.
+    /// axes; 0 is round, toward 1 it nears the box around it.
     Ellipsoid { centre: V3, axes: [V3; 3], from: f64, to: f64, boxy: f64, inward: bool },
     /// A bent rod: around the ellipse with half axes `u` and `v`, or half of it.
     Ring { centre: V3, u: V3, v: V3, rod: f64, half: bool },
@@ -121,7 +121,7 @@ impl Shape {
         self
     }
 
-    /// Area, square metres; of folded, bent and elliptic pieces nearly.
+    /// Area, square meters; of folded, bent and elliptic pieces nearly.
     pub(crate) fn area(&self) -> f64 {
         match *self {
             Self::Patch { corners: [a, b, c, d], bulge, wave } => {
@@ -259,7 +259,7 @@ impl Shape {
     }
 }
 
-/// As the distance from an edge where there is no edge, metres.
+/// As the distance from an edge where there is no edge, meters.
 pub(crate) const FAR: f64 = 1.0;
 
 fn sample_patch(

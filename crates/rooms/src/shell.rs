@@ -14,7 +14,7 @@ use scenesplat_kernels::random::SampleRng;
 /// What decides the shell of a room.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Plan {
-    /// Extent, metres.
+    /// Extent, meters.
     pub(crate) size: [f64; 2],
     pub(crate) height: f64,
     /// Extent of the corner that is missing.
@@ -23,7 +23,7 @@ pub(crate) struct Plan {
     pub(crate) has_ceiling: bool,
     /// Which sides have another room behind them, in a flat; none in a room by itself.
     pub(crate) inner: Option<[bool; 4]>,
-    /// How far behind their faces the backs of outer walls are, metres.
+    /// How far behind their faces the backs of outer walls are, meters.
     pub(crate) back: f64,
 }
 
@@ -148,7 +148,7 @@ fn notch(plan: &Plan) -> Option<Footprint> {
     Some(Footprint::of(&block, &Pose { origin: [0.0; 3], turn: STRAIGHT }))
 }
 
-/// A free stretch of a wall that may have it, `wide` metres and a margin; index of the wall and middle.
+/// A free stretch of a wall that may have it, `wide` meters and a margin; index of the wall and middle.
 fn stretch(
     layout: &Layout,
     wide: f64,

@@ -10,7 +10,7 @@ use scenesplat_scene::GaussianScene;
 use scenesplat_scene::gaussian_scene::u8_to_dc;
 use scenesplat_scene::quaternion::quat_from_z_to;
 
-/// Gaussians stray from their surface by at most this much, metres.
+/// Gaussians stray from their surface by at most this much, meters.
 pub(crate) const MAX_STRAY: f64 = 0.03;
 
 /// How the Gaussians of a room came about; drawn once per room.
@@ -24,14 +24,14 @@ pub(crate) struct Look {
     pub(crate) largest: [f64; 2],
     /// Opacity before the sigmoid: mean and spread.
     pub(crate) opacity: [f64; 2],
-    /// Noise of positions along the normal, metres; and the share that is far off.
+    /// Noise of positions along the normal, meters; and the share that is far off.
     pub(crate) rough: f64,
     pub(crate) strays: f64,
     /// Noise of normals.
     pub(crate) tilt: f64,
-    /// Noise of colours, 0..=255: common to the channels, and of each.
+    /// Noise of colors, 0..=255: common to the channels, and of each.
     pub(crate) grit: [f64; 2],
-    /// Towards the light, unit; and the light without it, 0..1.
+    /// Toward the light, unit; and the light without it, 0..1.
     pub(crate) light: V3,
     pub(crate) ambient: f64,
     /// Exposure and white balance.
@@ -128,7 +128,7 @@ pub(crate) struct Owner<'a> {
     pub(crate) shadows: &'a [Footprint],
     /// Logarithm of what its Gaussians are larger by than their density says.
     pub(crate) ln_size: f64,
-    /// Whether its surfaces are of one colour each.
+    /// Whether its surfaces are of one color each.
     pub(crate) is_plain: bool,
 }
 
@@ -240,7 +240,7 @@ pub(crate) fn below_floor(size: V3, deep: f64, ln_spacing: f64, rng: &mut Sample
     unlabelled([40.0, 220.0], [-0.5, 1.8], ln_spacing, place, rng)
 }
 
-/// A Gaussian in any direction, of a grey in this range, with this mean and spread of the opacity logit.
+/// A Gaussian in any direction, of a gray in this range, with this mean and spread of the opacity logit.
 fn unlabelled(
     grey: [f64; 2],
     opacity: [f64; 2],
@@ -278,7 +278,7 @@ fn from_point(
     rng: &mut SampleRng,
 ) -> Splat {
     // Mean distance to the 3 nearest of random points: 0.729 / √density, ± 27 %; a tenth less in
-    // rooms, where faces of thin boards are neighbours too (the test with the converter shows it).
+    // rooms, where faces of thin boards are neighbors too (the test with the converter shows it).
     let wide = ln_spacing - 0.42 + 0.27 * noise(rng) + rounded_ln(look.shrink);
     // Opacity 0.95.
     let opacity_logit = 2.944_438_979;

@@ -49,10 +49,10 @@ struct Shelf {
     rng: SampleRng,
 }
 
-/// What is higher than this above the floor hangs on a wall, metres.
+/// What is higher than this above the floor hangs on a wall, meters.
 const HANGS: f64 = 0.2;
 
-/// What reaches this high and hangs belongs to the ceiling, metres.
+/// What reaches this high and hangs belongs to the ceiling, meters.
 const UNDER_CEILING: f64 = 2.3;
 
 /// Pieces tried before the parametric model stays.

@@ -1,5 +1,5 @@
 //! How a piece in a room differs from the model of a catalogue that it is of: another width, depth and
-//! height, other colours. A catalogue has five sofas; homes have not.
+//! height, other colors. A catalogue has five sofas; homes have not.
 
 use crate::dice::between;
 use crate::shape::{Block, SurfacePoint};
@@ -10,7 +10,7 @@ use scenesplat_kernels::random::{SampleRng, unit};
 const SIZE: [f64; 2] = [0.9, 1.1];
 const SIDE: [f64; 2] = [0.88, 1.14];
 
-/// Colours keep this to that much of their distance from grey, and of their light.
+/// Colors keep this to that much of their distance from gray, and of their light.
 const SATURATION: [f64; 2] = [0.4, 1.4];
 const LIGHT: [f64; 2] = [0.6, 1.25];
 
@@ -22,7 +22,7 @@ const HUE: f64 = 1.0;
 pub(crate) struct Variation {
     /// Along the axes of the model.
     stretch: V3,
-    /// Rows of a matrix of colours.
+    /// Rows of a matrix of colors.
     color: [V3; 3],
 }
 
@@ -32,7 +32,7 @@ pub(crate) fn varied(block: Block, by: Option<&Variation>) -> Block {
 }
 
 impl Variation {
-    /// Another size, unless it is to fit a hole, and other colours.
+    /// Another size, unless it is to fit a hole, and other colors.
     pub(crate) fn draw(keeps_size: bool, rng: &mut SampleRng) -> Self {
         let all = between(rng, SIZE[0], SIZE[1]);
         let sides: V3 = std::array::from_fn(|_| all * between(rng, SIDE[0], SIDE[1]));
@@ -54,7 +54,7 @@ impl Variation {
         std::array::from_fn(|i| p[i] * self.stretch[i])
     }
 
-    /// What a piece of the surface grows by, square metres a square metre, by its unit normal.
+    /// What a piece of the surface grows by, square meters a square meter, by its unit normal.
     pub(crate) fn growth(&self, normal: V3) -> f64 {
         let [x, y, z] = self.stretch;
         length(self.turned(normal)) * x * y * z
@@ -71,7 +71,7 @@ impl Variation {
         }
     }
 
-    /// A colour, 0..=255.
+    /// A color, 0..=255.
     pub(crate) fn color(&self, color: V3) -> V3 {
         self.color
             .map(|row| (0..3).map(|i| row[i] * color[i]).sum::<f64>())
@@ -84,7 +84,7 @@ impl Variation {
     }
 }
 
-/// Turns hues about grey by the angle whose half has this tangent, then moves colours from or to grey.
+/// Turns hues about gray by the angle whose half has this tangent, then moves colors from or to gray.
 fn colors(half: f64, saturation: f64, light: f64) -> [V3; 3] {
     let square = half * half;
     let (cos, sin) = ((1.0 - square) / (1.0 + square), 2.0 * half / (1.0 + square));
@@ -113,7 +113,7 @@ mod tests {
             assert!(grey.iter().all(|c| (c - 100.0 * light).abs() < 1e-9), "{grey:?}");
             let [r, g, b] = of.color([90.0, 100.0, 110.0]);
             assert!((r + g + b - 300.0 * light).abs() < 1e-9);
-            // The distance from grey grows by the saturation, whatever the turn.
+            // The distance from gray grows by the saturation, whatever the turn.
             let far = [r, g, b].iter().map(|c| (c - 100.0 * light).powi(2)).sum::<f64>().sqrt();
             assert!((far - 200.0_f64.sqrt() * saturation * light).abs() < 1e-9, "{far}");
         }

@@ -1,13 +1,13 @@
 //! The text side of networks that are trained on synthetic rooms: vectors of known words.
 //!
-//! This is **not** a text encoder. It knows the names of the classes, their groups, basic colours
+//! This is **not** a text encoder. It knows the names of the classes, their groups, basic colors
 //! and common synonyms, and refuses every other word by naming those it knows. The vectors say
 //! nothing about language; they are fixed directions that compose: what "red chair" means is the
 //! sum of what "chair" and "red" mean.
 //!
-//! Each class, group and colour has a concept, a unit vector nearly at right angles to all others.
+//! Each class, group and color has a concept, a unit vector nearly at right angles to all others.
 //! The target of a class is its concept plus those of its groups, so that a query for a group finds
-//! its members; the target of an object adds its colour.
+//! its members; the target of an object adds its color.
 
 mod concepts;
 mod words;
@@ -32,7 +32,7 @@ pub const NO_TARGET: u32 = u32::MAX;
 const FIRST_GROUP: f64 = 0.6;
 /// Weight of each further group.
 const OTHER_GROUP: f64 = 0.45;
-/// Weight of the colour in an object's target, and of a colour word beside a noun.
+/// Weight of the color in an object's target, and of a color word beside a noun.
 const COLOR: f64 = 0.4;
 
 /// Why a text has no vector.
@@ -105,7 +105,7 @@ fn concepts_of(text: &str) -> Result<Vec<Concept>, VocabularyError> {
 #[derive(Debug, Clone, PartialEq)]
 pub struct Vocabulary {
     dim: usize,
-    /// Unit vectors of classes, then groups, then colours.
+    /// Unit vectors of classes, then groups, then colors.
     concepts: Vec<Vec<f64>>,
 }
 
@@ -169,7 +169,7 @@ impl Vocabulary {
     }
 
     /// What a text has to beat where Gaussians are selected by it: the classes it does not mean, and,
-    /// if it names a colour, itself in every other colour.
+    /// if it names a color, itself in every other color.
     ///
     /// # Errors
     /// As [`embed`](Self::embed).
@@ -232,7 +232,7 @@ impl Vocabulary {
         unit_f32(&self.class_vector(class))
     }
 
-    /// The unit target of an object: its class, its groups and its colour.
+    /// The unit target of an object: its class, its groups and its color.
     pub fn object_target(&self, class: ClassId, color: ColorName) -> Vec<f32> {
         let mut sum = self.class_vector(class);
         add_times(&mut sum, self.color(color), COLOR);
@@ -248,12 +248,12 @@ impl Vocabulary {
         }
     }
 
-    /// Targets of a room's Gaussians: class, groups and colour of the object that each is part of.
+    /// Targets of a room's Gaussians: class, groups and color of the object that each is part of.
     pub fn targets(&self, room: &SyntheticRoom) -> Targets {
         self.targets_by(room, |o| Some((o.class?, Some(o.color))))
     }
 
-    /// As [`targets`](Self::targets), without colours: one row per class that is there.
+    /// As [`targets`](Self::targets), without colors: one row per class that is there.
     pub fn class_targets(&self, room: &SyntheticRoom) -> Targets {
         self.targets_by(room, |o| Some((o.class?, None)))
     }

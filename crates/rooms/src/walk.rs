@@ -6,7 +6,7 @@ use crate::shape::Block;
 use crate::vector::{V3, Z, cross, sub, unit_or};
 use scenesplat_kernels::random::{SampleRng, cos_sin};
 
-/// Half the width of somebody with a camera, metres.
+/// Half the width of somebody with a camera, meters.
 const HALF: f64 = 0.18;
 
 /// Places tried for each stop.

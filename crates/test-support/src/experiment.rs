@@ -7,7 +7,7 @@ use std::fmt::{self, Display, Formatter};
 /// Its `Display` is the table's lines, for `format!("[model]\n{}", Network::default())`.
 #[derive(Clone, Debug)]
 pub struct Network {
-    /// Edge of a voxel in metres.
+    /// Edge of a voxel in meters.
     pub grid_size: f64,
     /// Voxels in a patch of attention.
     pub patch: usize,

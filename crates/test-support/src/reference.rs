@@ -95,7 +95,7 @@ pub fn kernel_pairs(grid: &[[i32; 3]], offsets: &[usize], k: i32) -> Vec<(usize,
     out
 }
 
-/// Batch normalisation with the batch's own statistics. `x`: `[N, C]`
+/// Batch normalization with the batch's own statistics. `x`: `[N, C]`
 pub fn batch_norm(x: &[f32], weight: &[f32], bias: &[f32], eps: f64) -> Vec<f64> {
     let c = weight.len();
     let n = x.len() / c;

@@ -7,7 +7,7 @@ const LEAST_ROWS: usize = 100;
 /// Weight of the penalty; 0.1 to 1 do equally well on 291 labels of SigLIP2.
 const RIDGE: f64 = 0.3;
 
-/// A ridge regression from one space of texts to another: `y ≈ (x − x̄)·W + ȳ`, `W = (XᵀX + λI)⁻¹XᵀY` on centred
+/// A ridge regression from one space of texts to another: `y ≈ (x − x̄)·W + ȳ`, `W = (XᵀX + λI)⁻¹XᵀY` on centered
 /// rows, λ = 0.3.
 ///
 /// It is an approximation. From all-MiniLM-L6-v2 to SigLIP2, fitted to four fifths of 291 labels, the right one of all

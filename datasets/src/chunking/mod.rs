@@ -19,11 +19,11 @@ use crate::error::{check_positive, require};
 scenesplat_kernels::settings! {
     /// How scenes are cut. The default is what the original's chunks are made with.
     pub struct ChunkSettings {
-        /// Keeps one Gaussian in each cell of this size first, metres; `None` keeps all.
+        /// Keeps one Gaussian in each cell of this size first, meters; `None` keeps all.
         pub grid_size: Option<f64> = Some(0.01),
-        /// Sides of a chunk along x and y, metres.
+        /// Sides of a chunk along x and y, meters.
         pub range: [f64; 2] = [6.0; 2],
-        /// Distance from one chunk to the next along x and y, metres.
+        /// Distance from one chunk to the next along x and y, meters.
         pub stride: [f64; 2] = [3.0; 2],
         /// Chunks with fewer Gaussians are left out.
         pub minimum_size: usize = 10_000,
@@ -48,8 +48,8 @@ impl ChunkSettings {
         let positive = |v: f64| v.is_finite() && v > 0.0;
         self.grid_size.map_or(Ok(()), |size| check_positive("grid_size", size))?;
         for (range, stride) in self.range.into_iter().zip(self.stride) {
-            require(positive(range), "range", range, "a finite number of metres above 0")?;
-            let expected = "a finite number of metres, at least a 16th of the range";
+            require(positive(range), "range", range, "a finite number of meters above 0")?;
+            let expected = "a finite number of meters, at least a 16th of the range";
             let ok = positive(stride) && stride >= range / MAX_OVERLAP;
             require(ok, "stride", stride, expected)?;
             let expected = "no more than the range, or Gaussians between chunks would be lost";

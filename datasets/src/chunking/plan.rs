@@ -13,7 +13,7 @@ use std::collections::BTreeMap;
 pub struct Chunk {
     /// Its Gaussians, in the order they are written in.
     pub rows: Vec<u32>,
-    /// Its lowest corner in x and y, metres from the lowest corner of the scene.
+    /// Its lowest corner in x and y, meters from the lowest corner of the scene.
     pub origin: [f64; 2],
 }
 
@@ -22,9 +22,9 @@ pub struct Chunk {
 pub struct ChunkPlan {
     /// Chunks to write, in the order of their numbers.
     pub chunks: Vec<Chunk>,
-    /// The lowest corner of the scene, metres.
+    /// The lowest corner of the scene, meters.
     pub corner: [f32; 3],
-    /// Length of the scene along x and y, metres.
+    /// Length of the scene along x and y, meters.
     pub extent: [f64; 2],
     /// Gaussians left after the sampling of cells.
     pub sampled: usize,
@@ -42,7 +42,7 @@ pub struct ChunkPlan {
 /// scenes may be cut in any order.
 ///
 /// # Shapes
-/// - `coord`: `[N, 3]` metres, finite · `has_feature`: `[N]`
+/// - `coord`: `[N, 3]` meters, finite · `has_feature`: `[N]`
 ///
 /// # Errors
 /// If a setting is out of range, a coordinate is not finite, or the scene too wide for the cells.

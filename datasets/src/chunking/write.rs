@@ -28,7 +28,7 @@ pub struct ChunkReport {
     pub dropped_rows: usize,
     /// Gaussians left after the sampling of cells.
     pub sampled: usize,
-    /// Length along x and y, metres.
+    /// Length along x and y, meters.
     pub extent: [f64; 2],
     /// Chunks there are now, and the Gaussians of each.
     pub chunks: Vec<(String, usize)>,

@@ -17,7 +17,7 @@ use std::collections::HashMap;
 const FLOATER_SIZE: [f64; 2] = [2.0, 10.0];
 const FLOATER_OPACITY: [f64; 2] = [0.05, 0.4];
 const FLOATER_DEPTH: [f64; 2] = [0.1, 0.6];
-/// Edge of the cells in which the camera moves in one direction, metres.
+/// Edge of the cells in which the camera moves in one direction, meters.
 const BLUR_CELL: f64 = 1.0;
 
 fn is_finite(v: [f32; 3]) -> bool {
@@ -205,7 +205,7 @@ pub(super) fn surface(out: &mut Simulated, severity: f64, seed: u64) -> (usize, 
     (scene.len(), text)
 }
 
-/// Draws Gaussians out along a motion and mixes their colours.
+/// Draws Gaussians out along a motion and mixes their colors.
 pub(super) fn blur(out: &mut Simulated, severity: f64, seed: u64) -> (usize, String) {
     let length = BLUR_METRES * severity;
     let scene = &mut out.scene;
@@ -226,8 +226,8 @@ pub(super) fn blur(out: &mut Simulated, severity: f64, seed: u64) -> (usize, Str
         scene.log_scale[row] = log_scale;
         scene.quat[row] = quat;
     }
-    // Colours mix with what lies within the motion, as far as a display shows them: one bad value must
-    // not reach its neighbours.
+    // Colors mix with what lies within the motion, as far as a display shows them: one bad value must
+    // not reach its neighbors.
     let most = 0.5 / f64::from(SH_C0);
     let mut sums: HashMap<[i64; 3], ([f64; 3], f64)> = HashMap::new();
     for (coord, dc) in scene.coord.iter().zip(&scene.sh_dc).filter(|(_, dc)| is_finite(**dc)) {

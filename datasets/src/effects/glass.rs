@@ -14,7 +14,7 @@ use scenesplat_scene::{GaussianScene, SceneError, UpAxis, guess_up};
 const GHOST_COSINE: f64 = 0.5;
 /// Opacity of what was reflected, of that of the thing itself: no two pictures agree on it.
 const GHOST_OPACITY: f64 = 0.5;
-/// How far before a pane things are whose reflections are reconstructed behind it, metres.
+/// How far before a pane things are whose reflections are reconstructed behind it, meters.
 const GHOST_METRES: f64 = 1.5;
 /// Opacities of a sheet's Gaussians around its own, as shares of it.
 const SHEET_SPREAD: [f64; 2] = [0.6, 1.4];

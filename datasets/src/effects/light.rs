@@ -1,4 +1,4 @@
-//! Effects on colours, in linear light: drifting exposure and white balance, noise of the sensor.
+//! Effects on colors, in linear light: drifting exposure and white balance, noise of the sensor.
 
 use super::strength::{LIGHT_BALANCE, LIGHT_STOPS, NOISE_READ, NOISE_SHOT};
 use super::{Effect, Simulated, rng};
@@ -11,8 +11,8 @@ use scenesplat_scene::gaussian_scene::SH_C0;
 use scenesplat_scene::linear_light::{display, linear};
 use scenesplat_scene::vector::dot;
 
-/// Changes the linear light of a Gaussian's colour, which a sensor cuts at 0 and 1. The harmonics
-/// grow with the colour. Values that are not finite stay.
+/// Changes the linear light of a Gaussian's color, which a sensor cuts at 0 and 1. The harmonics
+/// grow with the color. Values that are not finite stay.
 pub(super) fn change(dc: &mut [f32; 3], rest: &mut [f32], mut to: impl FnMut(usize, f64) -> f64) {
     for i in 0..3 {
         let before = 0.5 + f64::from(SH_C0) * f64::from(dc[i]);
@@ -28,7 +28,7 @@ pub(super) fn change(dc: &mut [f32; 3], rest: &mut [f32], mut to: impl FnMut(usi
     }
 }
 
-/// Each Gaussian's colour and harmonics, on all threads.
+/// Each Gaussian's color and harmonics, on all threads.
 fn for_each_color(
     scene: &mut GaussianScene,
     run: impl Fn(usize, [f32; 3], &mut [f32; 3], &mut [f32]) + Sync,
@@ -94,7 +94,7 @@ mod tests {
         let mut dc = [0.0; 3];
         let mut rest = [1.0; 9];
         change(&mut dc, &mut rest, |_, light| light / 2.0);
-        // Half the light of mid grey.
+        // Half the light of mid gray.
         let after = 0.5 + f64::from(SH_C0) * f64::from(dc[0]);
         assert!((after - 0.360_78).abs() < 1e-4, "{after}");
         assert!(rest.iter().all(|v| (f64::from(*v) - after / 0.5).abs() < 1e-6));

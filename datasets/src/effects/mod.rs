@@ -3,7 +3,7 @@
 //!
 //! An effect that is absent costs nothing and changes nothing: the empty set gives the scene as it was,
 //! bit for bit. Random numbers belong to (seed, effect, Gaussian or part), so one effect never
-//! changes what another draws, and the number of threads changes nothing. Lengths are in metres.
+//! changes what another draws, and the number of threads changes nothing. Lengths are in meters.
 //!
 //! # Source
 //! The causes of failure that SceneSplat (ICCV 2025) names in its supplement; strengths by severity are
@@ -90,7 +90,7 @@ fn frame_rng(seed: u64, effect: Effect, frame: u64, part: u64) -> SampleRng {
 
 /// Applies effects to a scene, in the order of [`Effect::ALL`].
 ///
-/// Labelled points, which are no Gaussians, stay as they are. Values that are not finite stay, too.
+/// Labeled points, which are no Gaussians, stay as they are. Values that are not finite stay, too.
 /// Higher spherical harmonics keep their directions; `light` and `noise` scale them with the color.
 ///
 /// `glass` takes for up what the scene suggests ([`guess_up`](scenesplat_scene::guess_up)).

@@ -21,13 +21,13 @@ const FRINGE: f64 = 0.02;
 /// What is left of light that all of a pane takes in: glass is greenish.
 pub(super) const TINT: [f64; 3] = [0.92, 1.0, 0.96];
 
-/// Gaussians stray so far from the window that they belong to, metres.
+/// Gaussians stray so far from the window that they belong to, meters.
 const LEAST_THICKNESS: f64 = 0.01;
 
 /// An upright plane of a scene.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Wall {
-    /// Of length 1, level, towards the middle of the scene.
+    /// Of length 1, level, toward the middle of the scene.
     pub normal: [f64; 3],
     /// `normal · p` of its points, units of the scene.
     pub offset: f64,
@@ -46,7 +46,7 @@ pub struct Wall {
 /// A pane: a rectangle in an upright plane.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Pane {
-    /// Of length 1, towards the middle of the scene.
+    /// Of length 1, toward the middle of the scene.
     pub normal: [f64; 3],
     /// Level direction in the plane, of length 1.
     pub across: [f64; 3],

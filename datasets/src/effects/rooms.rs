@@ -8,7 +8,7 @@ use scenesplat_scene::SceneError;
 use std::fmt;
 use std::time::Instant;
 
-/// How fast captures of rooms are walked, metres a second.
+/// How fast captures of rooms are walked, meters a second.
 const SPEED: [f64; 2] = [0.2, 1.4];
 /// From here on pictures are blurred: 2 cm in a fortieth of a second.
 const FAST: f64 = 0.8;

@@ -4,11 +4,11 @@
 pub const HOLES_SHARE: f64 = 0.03;
 /// Added Gaussians as a share of those that there are.
 pub const FLOATERS_SHARE: f64 = 0.004;
-/// Standard deviation of the movement along the normal, metres.
+/// Standard deviation of the movement along the normal, meters.
 pub const SURFACE_METRES: f64 = 0.006;
 /// Standard deviation of the turn about any axis, degrees.
 pub const SURFACE_DEGREES: f64 = 4.0;
-/// Length of the motion while a picture is taken, metres.
+/// Length of the motion while a picture is taken, meters.
 pub const BLUR_METRES: f64 = 0.02;
 /// Exposure at the far ends of the scene, stops.
 pub const LIGHT_STOPS: f64 = 0.25;

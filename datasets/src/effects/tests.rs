@@ -3,7 +3,7 @@ use super::*;
 use scenesplat_kernels::random::{sample_rng, unit};
 use scenesplat_scene::LanguageFeatures;
 
-/// A floor of 40 × 40 flat Gaussians five centimetres apart, 2 cm wide, 1 mm thick.
+/// A floor of 40 × 40 flat Gaussians five centimeters apart, 2 cm wide, 1 mm thick.
 fn floor() -> GaussianScene {
     let n = 1600;
     let mut rng = sample_rng(1, 0, 0);
@@ -46,7 +46,7 @@ fn nothing_is_the_scene_itself() {
 
 #[test]
 fn a_little_changes_little() {
-    // Towards 0 every effect on values goes to the identity.
+    // Toward 0 every effect on values goes to the identity.
     let plain = floor();
     for effect in ["surface", "blur", "light", "noise"] {
         let out = with(&format!("{effect}=1e-6"), 1).scene;
@@ -140,7 +140,7 @@ fn blur_adds_the_variance_of_the_motion_and_keeps_means_of_colors() {
     let mean = |s: &GaussianScene| s.sh_dc.iter().map(|c| f64::from(c[1])).sum::<f64>() / 1600.0;
     assert!((mean(&out) - mean(&plain)).abs() < 1e-6);
     let spread = |s: &GaussianScene| s.sh_dc.iter().map(|c| f64::from(c[1]).powi(2)).sum::<f64>();
-    assert!(spread(&out) < 0.9 * spread(&plain), "colours mix");
+    assert!(spread(&out) < 0.9 * spread(&plain), "colors mix");
 }
 
 #[test]

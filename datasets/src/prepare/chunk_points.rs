@@ -1,4 +1,4 @@
-//! Labelled points of scenes to the chunks that were cut of them.
+//! Labeled points of scenes to the chunks that were cut of them.
 
 use crate::DataError;
 use crate::files::{arrays, bad_file, picked, positions};
@@ -12,7 +12,7 @@ use std::path::Path;
 pub struct ChunkTransfer {
     /// Points around each Gaussian that may belong, at least 1.
     pub neighbours: usize,
-    /// How far they may be, metres, above 0.
+    /// How far they may be, meters, above 0.
     pub max_distance: f64,
 }
 
@@ -34,7 +34,7 @@ pub struct ChunkTransferReport {
     pub files: Vec<String>,
 }
 
-/// Writes `pc_*.npy` into a chunk's folder: of the scene's labelled points those that are among the nearest of any of
+/// Writes `pc_*.npy` into a chunk's folder: of the scene's labeled points those that are among the nearest of any of
 /// the chunk's Gaussians, in the scene's order. Files of the chunk that are there are replaced, each as a whole.
 ///
 /// # Errors

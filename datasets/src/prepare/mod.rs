@@ -7,7 +7,7 @@
 //! ```
 //!
 //! A layout is read as the benchmark's own documentation describes it ([`ScanLayout`]); what names mean is a
-//! [`LabelTable`], apart from that. [`transfer_to_chunks`] brings labelled points to chunks that were cut before.
+//! [`LabelTable`], apart from that. [`transfer_to_chunks`] brings labeled points to chunks that were cut before.
 
 mod bounding_box;
 mod chunk_points;

@@ -8,10 +8,10 @@ use serde_json::Value;
 use std::collections::BTreeMap;
 use std::path::Path;
 
-/// Labelled points of a scan: the vertices of its mesh, in the order of the file.
+/// Labeled points of a scan: the vertices of its mesh, in the order of the file.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct ScanPoints {
-    /// Positions, metres, in the frame of the scan. `[M, 3]`
+    /// Positions, meters, in the frame of the scan. `[M, 3]`
     pub coord: Vec<[f32; 3]>,
     /// Unit normals, 0 where a vertex has no face; absent without faces. `[M, 3]`
     pub normal: Option<Vec<[f32; 3]>>,

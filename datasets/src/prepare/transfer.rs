@@ -13,13 +13,13 @@ use std::path::Path;
 /// How labels get onto Gaussians.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct PrepareSettings {
-    /// A Gaussian whose nearest point is farther than this has no label, metres; `None`: it takes the label however
+    /// A Gaussian whose nearest point is farther than this has no label, meters; `None`: it takes the label however
     /// far, as the original does.
     pub max_distance: Option<f64>,
-    /// Gaussians outside of the upright box around the scan, each side longer by this, are dropped, metres; `None`
+    /// Gaussians outside of the upright box around the scan, each side longer by this, are dropped, meters; `None`
     /// keeps all.
     pub margin: Option<f64>,
-    /// Whether the labelled points themselves are written (`pc_*`), to evaluate on.
+    /// Whether the labeled points themselves are written (`pc_*`), to evaluate on.
     pub points: bool,
 }
 
@@ -137,7 +137,7 @@ fn inside(
     if kept.is_empty() {
         let count = scene.len();
         let problem = format!("none of the {count} Gaussians is inside the box around the scan");
-        let help = "both have to be in one frame and in metres".to_owned();
+        let help = "both have to be in one frame and in meters".to_owned();
         return Err(SceneError::Classes { problem, help }.into());
     }
     Ok(kept)

@@ -178,7 +178,7 @@ impl Benchmark {
     }
 
     /// Stems of the files that hold its labels; the first that a scene has counts, and of several
-    /// columns the first. `pc_` before the stem gives the labelled points'.
+    /// columns the first. `pc_` before the stem gives the labeled points'.
     pub fn label_files(self) -> &'static [&'static str] {
         self.profile().segment
     }

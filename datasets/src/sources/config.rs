@@ -33,7 +33,7 @@ pub struct FolderConfig {
     /// Whether language features are read.
     #[serde(default = "yes")]
     pub lang_feat: bool,
-    /// Whether labelled points are read, to be scored instead of the Gaussians. If not given, for
+    /// Whether labeled points are read, to be scored instead of the Gaussians. If not given, for
     /// evaluations only, see [`SourceConfig::for_evaluation`].
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub labelled_points: Option<bool>,
@@ -205,7 +205,7 @@ impl SourceConfig {
         }
     }
 
-    /// The source as an evaluation reads it: with labelled points, unless it says otherwise.
+    /// The source as an evaluation reads it: with labeled points, unless it says otherwise.
     #[must_use]
     pub fn for_evaluation(mut self) -> Self {
         if let Some(folder) = self.folder_mut() {
@@ -264,7 +264,7 @@ impl SourceConfig {
         }
     }
 
-    /// Whether labelled points are asked for by name.
+    /// Whether labeled points are asked for by name.
     pub fn asks_for_labelled_points(&self) -> bool {
         match self {
             Self::Synthetic(_) => false,

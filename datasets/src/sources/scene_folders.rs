@@ -13,7 +13,7 @@ pub struct SceneFoldersOptions {
     pub segment: Vec<String>,
     /// Whether language features are read; they are by far the largest part of a scene.
     pub lang_feat: bool,
-    /// Whether labelled points are kept.
+    /// Whether labeled points are kept.
     pub labelled_points: bool,
     /// Scenes to leave out: names, or the part of names before an `_`.
     pub excluded_scenes: Vec<String>,
@@ -126,7 +126,7 @@ impl SceneFolders {
         if path.is_dir() {
             let there = |stem: &&String, prefix| path.join(format!("{prefix}{stem}.npy")).is_file();
             let of_gaussians = files.clone().find(|stem| there(stem, ""));
-            // A scene may have labelled points only.
+            // A scene may have labeled points only.
             return of_gaussians.or_else(|| files.into_iter().find(|stem| there(stem, "pc_")));
         }
         // Other formats have one name for labels, or a property that is looked up on reading.

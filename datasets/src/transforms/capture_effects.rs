@@ -15,7 +15,7 @@ use serde::{Deserialize, Serialize};
 /// [`GridSample`](super::GridSample), which puts Gaussians where they then are.
 ///
 /// Labels, instances, features and a teacher's rows follow the Gaussians; added ones have none (−1, no
-/// valid feature), and those of a pane of glass lose theirs. +z is up. Labelled points, which are no Gaussians, stay. What no effect touches keeps its bits.
+/// valid feature), and those of a pane of glass lose theirs. +z is up. Labeled points, which are no Gaussians, stay. What no effect touches keeps its bits.
 ///
 /// # Source
 /// Our own; the causes of failure are those of the supplement of SceneSplat (ICCV 2025).
@@ -178,7 +178,7 @@ mod tests {
         assert_eq!((&got.segment, &got.instance), (&want.segment, &want.instance));
         assert_eq!(got.len(), want.len());
         for row in 0..want.len() {
-            // Colours went through bytes once before, and once behind.
+            // Colors went through bytes once before, and once behind.
             for k in 0..3 {
                 assert!((got.color[row][k] - want.color[row][k]).abs() < 3.0, "row {row}");
                 assert!((got.coord[row][k] - want.coord[row][k]).abs() < 1e-5, "row {row}");

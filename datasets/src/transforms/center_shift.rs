@@ -40,7 +40,7 @@ mod tests {
         for (a, b) in flat.coord.iter().zip(&sample.coord) {
             assert_eq!(a[2], b[2]);
         }
-        // Labelled points keep their place among the Gaussians.
+        // Labeled points keep their place among the Gaussians.
         let points = moved.labelled_points.unwrap().coord;
         assert!(points.iter().zip(moved.coord.iter().step_by(7)).all(|(p, c)| p == c));
     }

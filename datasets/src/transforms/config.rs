@@ -55,15 +55,15 @@ transform_config! {
     RandomFlip: "Mirrors.";
     RandomJitter: "Moves each Gaussian a little.";
     ElasticDistortion: "Bends.";
-    ChromaticAutoContrast: "Stretches colours.";
-    ChromaticTranslation: "Shifts colours.";
-    ChromaticJitter: "Changes each colour a little.";
+    ChromaticAutoContrast: "Stretches colors.";
+    ChromaticTranslation: "Shifts colors.";
+    ChromaticJitter: "Changes each color a little.";
     ColorJitter: "Changes brightness, contrast, saturation and hue.";
     RandomGrayscale: "Takes colors away.";
     ColorSolarize: "Turns bright colors into their negative.";
     VoxelBlur: "Blurs over voxels.";
     GridSample: "Keeps one Gaussian of a cell.";
-    SphereCrop: "Keeps the Gaussians near a centre.";
+    SphereCrop: "Keeps the Gaussians near a center.";
     RatioCrop: "Keeps a share of the Gaussians, near a random one.";
     Views: "Makes several views of the scene, as the last step.";
 }

@@ -16,20 +16,20 @@ scenesplat_kernels::settings! {
     /// A field is normal noise on a grid, smoothed twice by a mean of three along each axis (with zeros
     /// beyond the grid), interpolated linearly and multiplied by its magnitude. Gaussians are stretched
     /// and turned, and normals turned, by the gradient `J = 1 + ∂displacement/∂position` where they are:
-    /// a covariance becomes `J Σ Jᵀ`. Labelled points move along; beyond the grid they move as its edge.
+    /// a covariance becomes `J Σ Jᵀ`. Labeled points move along; beyond the grid they move as its edge.
     ///
     /// # Errors
     /// If the scene is so wide for the granularity that the grid would not fit into memory.
     ///
     /// # Source
     /// `ElasticDistortion` in `pointcept/datasets/transform.py`, SceneSplat be9d5e1. Differs: there only
-    /// centres move; `exact` does that.
+    /// centers move; `exact` does that.
     pub struct ElasticDistortion {
-        /// Granularity and magnitude of each field, metres.
+        /// Granularity and magnitude of each field, meters.
         pub fields: Vec<[f64; 2]> = vec![[0.2, 0.4], [0.8, 1.6]],
         /// How often it happens.
         pub probability: f64 = 0.95,
-        /// Moves centres only.
+        /// Moves centers only.
         pub exact: bool = false,
     }
 }

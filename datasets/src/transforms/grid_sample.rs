@@ -24,7 +24,7 @@ scenesplat_kernels::settings! {
     /// Keeps one Gaussian of every cell and fills `grid_coord`, the lowest cell of each axis being 0.
     /// Cells come along a z-order curve.
     ///
-    /// Labelled points, if there are any, are thinned by the same size: the first labelled one of a
+    /// Labeled points, if there are any, are thinned by the same size: the first labeled one of a
     /// cell, else the first.
     ///
     /// # Source
@@ -33,14 +33,14 @@ scenesplat_kernels::settings! {
     /// the count of the fullest cell, which favours the first ones slightly; else each is equally
     /// likely. Its test mode is [`ExactPlan`](crate::ExactPlan).
     pub struct GridSample {
-        /// Size of a cell, metres.
+        /// Size of a cell, meters.
         pub grid_size: f64 = 0.02,
         /// Which Gaussian of a cell is kept.
         pub keep: Keep = Keep::Random,
-        /// Whether the scene as it is before the sampling is kept, labelled points included, see
+        /// Whether the scene as it is before the sampling is kept, labeled points included, see
         /// [`FullScene`]: evaluations score it.
         pub keep_full: bool = false,
-        /// Whether labelled points are thinned.
+        /// Whether labeled points are thinned.
         pub thin_labelled_points: bool = true,
         /// Draws and orders as the original does.
         pub exact: bool = false,
@@ -163,7 +163,7 @@ mod tests {
 
     #[test]
     fn each_of_a_cell_is_equally_likely() {
-        // Three in one cell, five in another: exact draws below 5 favour the first two of three.
+        // Three in one cell, five in another: exact draws below 5 favor the first two of three.
         let mut sample = at(&[[0.01; 3], [0.01; 3], [0.01; 3]]);
         let more = at(&[[1.01; 3]; 5]);
         sample.coord.extend(&more.coord);

@@ -12,11 +12,11 @@ use serde::{Deserialize, Serialize};
 ///
 /// Which are kept depends on `seed` and the scene's name alone, so they are the same in every epoch; that
 /// holds for the rows of the source, before any step that changes them. The other steps draw the same
-/// numbers as without it. Labelled points stay: they are for evaluation.
+/// numbers as without it. Labeled points stay: they are for evaluation.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, rename_all = "snake_case")]
 pub enum KeptLabels {
-    /// This part of the labelled Gaussians of each scene, rounded, at least one; in 0..=1.
+    /// This part of the labeled Gaussians of each scene, rounded, at least one; in 0..=1.
     Share(f64),
     /// So many of each scene, or all that there are.
     PerScene(usize),
@@ -96,7 +96,7 @@ mod tests {
         let mut sample = room(1000);
         sample.segment = Some((0..1000).map(|row| row % 5 - 1).collect());
         let share = kept(KeptLabels::Share(0.01), 0, &sample);
-        assert_eq!(share.len(), 8, "of 800 labelled ones");
+        assert_eq!(share.len(), 8, "of 800 labeled ones");
         let step = LimitLabels { keep: KeptLabels::Share(0.01), seed: 0 };
         assert_eq!(applied(&step, &sample, 1), applied(&step, &sample, 2), "other random numbers");
         assert_ne!(share, kept(KeptLabels::Share(0.01), 1, &sample), "another seed");

@@ -9,10 +9,10 @@ scenesplat_kernels::settings! {
     /// The default changes nothing. Limits of the network's input are in
     /// [`InputFeatures`](crate::InputFeatures), after all transforms; these are before them.
     pub struct LimitValues {
-        /// Positions and sizes are divided by this, first; labelled points stay as they are, as in the
+        /// Positions and sizes are divided by this, first; labeled points stay as they are, as in the
         /// original.
         pub divide: f32 = 1.0,
-        /// Lowest and highest size, metres.
+        /// Lowest and highest size, meters.
         pub scale: Option<[f32; 2]> = None,
         /// Lowest opacity.
         pub opacity_floor: f32 = 0.0,

@@ -30,7 +30,7 @@ pub struct MeasuredEffects {
 }
 
 impl MeasuredEffects {
-    /// Looks for the effects in the scenes of a source, in their order; metres.
+    /// Looks for the effects in the scenes of a source, in their order; meters.
     ///
     /// # Errors
     /// If a scene cannot be read.

@@ -6,7 +6,7 @@
 //! relatives those that end in several [`Views`] of a scene.
 //!
 //! A step moves a Gaussian as a whole: position, orientation, size and normal go together, and
-//! labelled points go along. Where the original forgets one of them, a field `exact` does what it
+//! labeled points go along. Where the original forgets one of them, a field `exact` does what it
 //! does; without it
 //! - quaternions keep `w ≥ 0`, as in the data files ([`RandomRotate`], [`RandomFlip`]: the original
 //!   leaves or makes other signs);
@@ -75,7 +75,7 @@ pub(crate) mod testing {
     use scenesplat_rooms::{SyntheticRoomSettings, generate};
     use scenesplat_scene::LabelledPoints;
 
-    /// Part of a generated room, with labelled points.
+    /// Part of a generated room, with labeled points.
     pub fn room(rows: usize) -> Sample {
         let settings = SyntheticRoomSettings::with_count(rows.max(1000), 3);
         let mut sample = Sample::from_scene("room", generate(&settings).unwrap().scene);

@@ -6,7 +6,7 @@ use super::{
     RandomScale, RotationCenter, SphereCrop, TransformConfig,
 };
 
-/// Training of the language networks, with cells of `grid_size` metres (0.02 there; 0.005 for
+/// Training of the language networks, with cells of `grid_size` meters (0.02 there; 0.005 for
 /// HoliCity).
 ///
 /// # Source
@@ -24,7 +24,7 @@ pub fn semantic_segmentation(grid_size: f64) -> Vec<TransformConfig> {
 }
 
 /// Evaluation during training: no randomness; of every cell the Gaussian nearest to its middle, as
-/// [`FastPlan`](crate::FastPlan) reads a scene. Labelled points are thinned by the same cells.
+/// [`FastPlan`](crate::FastPlan) reads a scene. Labeled points are thinned by the same cells.
 ///
 /// # Source
 /// The `val` transforms of the same files. Differs: they keep a random Gaussian of a cell; here the

@@ -6,7 +6,7 @@ use crate::rng::happens;
 use crate::{DataError, Sample, SampleRng, Transform};
 
 scenesplat_kernels::settings! {
-    /// Mirrors x, and mirrors y, each with `probability`: positions, orientations, normals, labelled
+    /// Mirrors x, and mirrors y, each with `probability`: positions, orientations, normals, labeled
     /// points.
     ///
     /// A Gaussian's mirror image has its covariance conjugated by the mirror; as a quaternion that is

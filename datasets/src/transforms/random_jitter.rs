@@ -5,15 +5,15 @@ use crate::rng::normals;
 use crate::{DataError, Sample, SampleRng, Transform};
 
 scenesplat_kernels::settings! {
-    /// Moves every centre by independent normal numbers, cut at `clip`. The Gaussians move as they are,
-    /// so sizes and orientations stay; labelled points, which are no Gaussians, stay too.
+    /// Moves every center by independent normal numbers, cut at `clip`. The Gaussians move as they are,
+    /// so sizes and orientations stay; labeled points, which are no Gaussians, stay too.
     ///
     /// # Source
     /// `RandomJitter` in `pointcept/datasets/transform.py`, SceneSplat be9d5e1.
     pub struct RandomJitter {
-        /// Standard deviation along each axis, metres.
+        /// Standard deviation along each axis, meters.
         pub sigma: f64 = 0.005,
-        /// Largest movement along each axis, metres.
+        /// Largest movement along each axis, meters.
         pub clip: f64 = 0.01,
     }
 }

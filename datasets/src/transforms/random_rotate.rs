@@ -29,13 +29,13 @@ pub enum RotationCenter {
     Origin,
     /// The middle of the bounding box.
     BoundingBox,
-    /// A given point, metres.
+    /// A given point, meters.
     Point([f32; 3]),
 }
 
 scenesplat_kernels::settings! {
     /// With `probability`, turns the scene by a uniform angle: positions, orientations, normals,
-    /// labelled points.
+    /// labeled points.
     ///
     /// # Source
     /// `RandomRotate` in `pointcept/datasets/transform.py`, SceneSplat be9d5e1. Differs: quaternions are

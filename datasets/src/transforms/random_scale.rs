@@ -5,7 +5,7 @@ use crate::rng::between;
 use crate::{DataError, Sample, SampleRng, Transform};
 
 scenesplat_kernels::settings! {
-    /// Multiplies positions, sizes and labelled points by one uniform factor.
+    /// Multiplies positions, sizes and labeled points by one uniform factor.
     ///
     /// # Source
     /// `RandomScale` in `pointcept/datasets/transform.py`, SceneSplat be9d5e1, as configured there (one

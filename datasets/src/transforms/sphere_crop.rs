@@ -6,7 +6,7 @@ use crate::{DataError, Sample, SampleRng, Transform};
 use scenesplat_kernels::neighbors::distance_squared;
 use serde::{Deserialize, Serialize};
 
-/// Where a crop has its centre.
+/// Where a crop has its center.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum CropCenter {
@@ -18,7 +18,7 @@ pub enum CropCenter {
 }
 
 scenesplat_kernels::settings! {
-    /// Keeps the `point_max` Gaussians nearest to a centre, if there are more. Cells keep the origin they
+    /// Keeps the `point_max` Gaussians nearest to a center, if there are more. Cells keep the origin they
     /// had.
     ///
     /// # Source
@@ -27,7 +27,7 @@ scenesplat_kernels::settings! {
     pub struct SphereCrop {
         /// Most Gaussians that are left.
         pub point_max: usize = 192_000,
-        /// Where the centre is.
+        /// Where the center is.
         pub center: CropCenter = CropCenter::Random,
         /// Puts the nearest first, as the original does.
         pub exact: bool = false,

@@ -92,7 +92,7 @@ fn dropout() -> TransformConfig {
 }
 
 /// Self-supervised training on one dataset: two global and three local views, with cells of
-/// `grid_size` metres (0.02 there).
+/// `grid_size` meters (0.02 there).
 ///
 /// # Source
 /// The `train` transforms of the self-supervised configurations with one dataset, SceneSplat be9d5e1.

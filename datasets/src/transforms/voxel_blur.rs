@@ -27,7 +27,7 @@ scenesplat_kernels::settings! {
         pub probability: f64 = 0.5,
         /// Lowest and highest standard deviation, in voxels, above 0 and at most 4.
         pub sigma: [f64; 2] = [0.1, 2.0],
-        /// Size of a voxel, metres.
+        /// Size of a voxel, meters.
         pub grid_size: f64 = 0.02,
     }
 }

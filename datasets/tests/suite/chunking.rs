@@ -88,7 +88,7 @@ fn every_array_is_cut_alike_and_keeps_its_type() {
     let feat = read(&chunk, "lang_feat").read_f32().unwrap();
     assert!((feat[0] - 0.6).abs() < 1e-3 && (feat[1] - 0.8).abs() < 1e-3);
     assert_eq!(feat[2..4], [0.0, 0.0]);
-    // Labelled points of the same square, with their labels.
+    // Labeled points of the same square, with their labels.
     let labels = read(&chunk, "pc_segment").read_i64().unwrap();
     let places = read(&chunk, "pc_coord").read_f32().unwrap();
     assert_eq!(labels.len() * 3, places.len());

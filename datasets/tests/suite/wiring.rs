@@ -1,4 +1,4 @@
-//! Order and chance around transforms: what is done first, what is tossed for anew, and what a colour
+//! Order and chance around transforms: what is done first, what is tossed for anew, and what a color
 //! step leaves alone. References are written out here.
 
 use scenesplat_datasets::transforms::{TransformConfig, build_transforms};

@@ -44,7 +44,7 @@ impl TermSchedule {
 
 /// Pulls the two halves of each class together, and different classes apart.
 ///
-/// The rows of a class that count (valid, labelled, class not too small) are cut at random into two
+/// The rows of a class that count (valid, labeled, class not too small) are cut at random into two
 /// halves of ⌊n/2⌋ and ⌈n/2⌉ rows. With the unit sums `a`, `b` of the halves and `Z = a·bᵀ/τ`, the
 /// loss is `½ [CE(Z, diagonal) + CE(Zᵀ, diagonal)]`. Classes are taken over the whole batch. One
 /// class alone gives exactly 0.

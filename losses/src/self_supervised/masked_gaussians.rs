@@ -1,4 +1,4 @@
-//! Masked Gaussian modelling: what a hidden Gaussian looks like.
+//! Masked Gaussian modeling: what a hidden Gaussian looks like.
 
 use super::stored::stored_loss;
 use crate::error::{LossError, check_len};

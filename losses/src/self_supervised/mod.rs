@@ -7,7 +7,7 @@
 //! | iBOT, as the original computes it | rows of masked Gaussians with the teacher's | [`masked_cosine`] |
 //! | iBOT, as it is named | distributions over prototypes, of masked Gaussians | [`masked_cross_entropy`] |
 //! | DINO | distributions over prototypes, between views | [`view_cross_entropy`] |
-//! | masked Gaussian modelling | attributes of masked Gaussians with what they are | [`masked_gaussians`] |
+//! | masked Gaussian modeling | attributes of masked Gaussians with what they are | [`masked_gaussians`] |
 //!
 //! Targets over prototypes come from [`Centering`] or [`sinkhorn_knopp`]. A teacher's rows get no
 //! gradient. Numbers and hard input are those of the [crate]: f64 sums, no row that counts gives `None`,

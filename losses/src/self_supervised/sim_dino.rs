@@ -8,7 +8,7 @@ use scenesplat_kernels::settings;
 use serde::{Deserialize, Serialize};
 
 const NAME: &str = "sim_dino";
-/// Norms below this count as this where rows are normalised here, as in the original.
+/// Norms below this count as this where rows are normalized here, as in the original.
 const EPS: f64 = 1e-4;
 
 /// Whose vectors are kept apart.

@@ -1,4 +1,4 @@
-//! Batch normalisation, alone or with an activation behind it.
+//! Batch normalization, alone or with an activation behind it.
 
 use super::vector;
 use crate::device::off_host;
@@ -10,7 +10,7 @@ use candle_core::{DType, Result, Tensor, Var, bail};
 use candle_nn::{Init, VarBuilder};
 use std::cell::RefCell;
 
-/// Normalisation of each channel over all rows (the remembered variance is unbiased).
+/// Normalization of each channel over all rows (the remembered variance is unbiased).
 #[derive(Debug, Clone)]
 pub struct BatchNorm {
     form: Form,
@@ -121,7 +121,7 @@ impl BatchNorm {
     }
 
     /// `[N, C] → [N, C]`. In training the statistics come from the batch, and the remembered ones
-    /// move towards them. A single row has no variance: it is normalised by the remembered
+    /// move toward them. A single row has no variance: it is normalized by the remembered
     /// statistics, which stay as they are (PyTorch raises there, which would end a run at the first
     /// batch that pools down to one voxel). Under [`with_peers`](crate::peers::with_peers) the batch is that of
     /// all peers.

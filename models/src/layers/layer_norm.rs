@@ -1,4 +1,4 @@
-//! Layer normalisation with a gradient.
+//! Layer normalization with a gradient.
 
 use super::{add, stays_tensor, vector};
 use crate::ops;

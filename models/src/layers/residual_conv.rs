@@ -1,4 +1,4 @@
-//! A convolution whose normalised result is added to its rows.
+//! A convolution whose normalized result is added to its rows.
 
 use super::low_rank_conv::{LowRankConv, PlainConv};
 use super::{LayerNorm, Linear, SparseConv};

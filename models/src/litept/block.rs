@@ -49,7 +49,7 @@ pub struct BlockShape {
 }
 
 /// `x + LN(Linear(conv(x)))`, or, without convolution, `LN(x)` in place of `x`; then attention and
-/// MLP on normalised rows, where there is attention. A convolution alone has no activation and no
+/// MLP on normalized rows, where there is attention. A convolution alone has no activation and no
 /// drop path.
 #[derive(Debug)]
 pub struct Block {

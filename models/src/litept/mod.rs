@@ -10,7 +10,7 @@
 //! "LitePT: Lighter Yet Stronger Point Transformer" (arXiv:2512.13689), prs-eth/LitePT (MIT), whose
 //! names of parameters these are. Differs: patches and curve depth belong to each scene; orders are
 //! shuffled only when asked for; rotation and attention are f32 (there f16, in inference too), or
-//! bf16 operands where asked for; codes reach 21 bits. Kept: an attention block normalises the rows
+//! bf16 operands where asked for; codes reach 21 bits. Kept: an attention block normalizes the rows
 //! that its residual path carries; drop rates are counted over convolution blocks too; there is no
 //! final norm.
 

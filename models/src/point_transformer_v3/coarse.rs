@@ -6,7 +6,7 @@ use rayon::prelude::*;
 use scenesplat_kernels::segment::Groups;
 use scenesplat_kernels::serialized_cloud::SerializedCloud;
 
-/// Coarse cells around a voxel: eight centres are the corners of the cube that it lies in.
+/// Coarse cells around a voxel: eight centers are the corners of the cube that it lies in.
 const CORNERS: usize = 8;
 /// Rows of one task.
 const ROWS: usize = 256;
@@ -22,7 +22,7 @@ pub(super) struct Between {
 }
 
 impl Between {
-    /// The occupied ones of the eight nearest cells with trilinear weights, by the centres of voxels
+    /// The occupied ones of the eight nearest cells with trilinear weights, by the centers of voxels
     /// and cells.
     ///
     /// # Errors
@@ -32,7 +32,7 @@ impl Between {
         coarse: &SerializedCloud,
         groups: &Groups,
     ) -> Result<Self> {
-        // Neighbours of each coarse cell, among 3³.
+        // Neighbors of each coarse cell, among 3³.
         let map = coarse.kernel_map(3).map_err(candle_core::Error::wrap)?;
         let taps = map.taps();
         const NONE: u32 = u32::MAX;
@@ -50,7 +50,7 @@ impl Between {
                 let at = scene[row] as usize;
                 let bits = fine.depth()[at] - coarse.depth()[at];
                 let edge = f64::from(1u32 << bits);
-                // From the centre of its cell, in cells: within ±½.
+                // From the center of its cell, in cells: within ±½.
                 let away: [f64; 3] = std::array::from_fn(|axis| {
                     let first = i64::from(coarse.grid_coord()[parent][axis]) << bits;
                     let within = i64::from(fine.grid_coord()[row][axis]) - first;
@@ -180,7 +180,7 @@ mod tests {
         let base = Tensor::zeros((7, 1), candle_core::DType::F32, &Device::Cpu).unwrap();
         let out: Vec<f32> =
             between.add_to(&x, &base).unwrap().flatten_all().unwrap().to_vec1().unwrap();
-        // A quarter of a cell towards the other one: ¾ and ¼; else the own cell alone.
+        // A quarter of a cell toward the other one: ¾ and ¼; else the own cell alone.
         for (got, want) in out.iter().zip([1.0, 3.25, 7.75, 10.0, 100.0, 100.0, 1000.0]) {
             assert!((got - want).abs() < 1e-4, "{out:?}");
         }

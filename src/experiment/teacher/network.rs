@@ -90,7 +90,7 @@ impl Reader {
 
     fn compute(&self, mut shown: Sample) -> Result<TeacherRows, DataError> {
         let groups = voxel_groups(&shown.coord, self.network.grid_size(), KeyOrder::Morton)?;
-        // As in inference, the Gaussian nearest to its centre stands for a voxel.
+        // As in inference, the Gaussian nearest to its center stands for a voxel.
         shown.select_rows(&groups.nearest_to_centre(&shown.coord)?);
         let input = self.network.input();
         let feat = input.sample_rows(&shown)?;

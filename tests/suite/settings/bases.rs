@@ -437,7 +437,7 @@ fn write_furniture(folder: &Path) {
     std::fs::write(folder.join("PluginFurnitureCatalog.properties"), properties).unwrap();
 }
 
-/// A small room with labels, features and labelled points.
+/// A small room with labels, features and labeled points.
 fn room(seed: u64) -> GaussianScene {
     let settings = SyntheticRoomSettings::with_count(500, seed);
     let mut scene = generate(&settings).unwrap().scene;

@@ -29,7 +29,7 @@ pub trait Labelling: Send {
 /// Labels every Gaussian of its scenes by the row of its voxel and measures the numbers of [`Scores`]; see
 /// [`SegmentationEvaluator`](super::SegmentationEvaluator) and [`ZeroShotEvaluator`](super::ZeroShotEvaluator).
 ///
-/// Where a scene has labelled points with classes, they are scored, else every labelled Gaussian.
+/// Where a scene has labeled points with classes, they are scored, else every labeled Gaussian.
 pub struct SceneEvaluator<L> {
     pub(super) name: String,
     pub(super) data: Arc<dyn Dataset>,
@@ -65,7 +65,7 @@ impl<L: Labelling> SceneEvaluator<L> {
     /// The counts over all scenes.
     ///
     /// # Errors
-    /// If data cannot be read, none is labelled, or the network fails.
+    /// If data cannot be read, none is labeled, or the network fails.
     pub fn scores(&self, model: &dyn Backbone) -> Result<Scores, TrainError> {
         self.run_with(model, &mut self.own.fresh(), |_, _, _| Ok(()))
     }

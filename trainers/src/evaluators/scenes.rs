@@ -11,7 +11,7 @@ use scenesplat_datasets::{
 use scenesplat_metrics::{SceneTruth, Scores, VoteRule};
 use scenesplat_models::{Backbone, Forward};
 
-/// Neighbours that vote, as the paper evaluates.
+/// Neighbors that vote, as the paper evaluates.
 pub const VOTE_K: usize = 25;
 
 /// How labels of voxels are brought to where the truth is known.
@@ -30,7 +30,7 @@ impl Protocol<'_> {
     /// the name of the scene and what is scored there. A scene without rows is skipped.
     ///
     /// # Errors
-    /// If a scene cannot be read or has no labels, no row of all is labelled, or the network fails.
+    /// If a scene cannot be read or has no labels, no row of all is labeled, or the network fails.
     pub(super) fn run(
         &self,
         name: &str,

@@ -11,8 +11,8 @@ use std::sync::Arc;
 /// Labels every Gaussian with the largest logit of its voxel and measures the numbers of
 /// [`Scores`](super::Scores).
 ///
-/// Where a scene has labelled points with classes, they are scored: each takes the majority of the
-/// [`VOTE_K`] Gaussians nearest to it. Else every labelled Gaussian is, without a vote.
+/// Where a scene has labeled points with classes, they are scored: each takes the majority of the
+/// [`VOTE_K`] Gaussians nearest to it. Else every labeled Gaussian is, without a vote.
 ///
 /// # Source
 /// `SemSegEvaluator`, SceneSplat be9d5e1. Differs: averages are over the classes that occur, not

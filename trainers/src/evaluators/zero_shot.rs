@@ -15,13 +15,13 @@ use std::sync::Arc;
 /// Labels every Gaussian by the class text nearest to the feature of its voxel and measures the
 /// numbers of [`Scores`](super::Scores).
 ///
-/// Where a scene has labelled points with classes, they are scored, else every labelled Gaussian.
+/// Where a scene has labeled points with classes, they are scored, else every labeled Gaussian.
 /// Each takes the majority of the [`VOTE_K`] Gaussians nearest to it that have a language feature
 /// in the data (all, if the data do not say).
 ///
 /// # Source
 /// `LangPretrainZeroShotSemSegEval`, SceneSplat be9d5e1. Differs: numbers are those of the tester,
-/// and so are the voters: all Gaussians, not one a voxel, and all labelled points; scenes are scored
+/// and so are the voters: all Gaussians, not one a voxel, and all labeled points; scenes are scored
 /// one by one, so none votes in another; labels never use instances of the truth.
 pub type ZeroShotEvaluator = SceneEvaluator<NearestText>;
 

@@ -4,7 +4,7 @@ use crate::error::check_setting;
 use candle_core::{Result as TensorResult, Var};
 use std::collections::BTreeMap;
 
-/// Moves each teacher parameter towards the student's: `t ← m·t + (1 − m)·s`.
+/// Moves each teacher parameter toward the student's: `t ← m·t + (1 − m)·s`.
 ///
 /// Every parameter of `teacher` must be in `student`, of the same shape and type; the student may
 /// have more. What is averaged is the caller's choice: the original averages parameters only and

@@ -13,7 +13,7 @@ use scenesplat_scene::TextTable;
 pub enum TargetSource {
     /// The scene's own language features (`lang_feat`), where its mask says so.
     Features,
-    /// The row of a table for the row's class; unlabelled rows have none. `[C, D]`, unit rows.
+    /// The row of a table for the row's class; unlabeled rows have none. `[C, D]`, unit rows.
     ClassText(Tensor),
 }
 

@@ -7,7 +7,7 @@ use scenesplat_datasets::TrainBatch;
 use scenesplat_losses::{IGNORE, LossInput, Objective};
 use scenesplat_models::{Backbone, ParamStore};
 
-/// A network that learns, its parameters, and what is minimised.
+/// A network that learns, its parameters, and what is minimized.
 pub struct Learner {
     params: ParamStore,
     model: Box<dyn Backbone>,

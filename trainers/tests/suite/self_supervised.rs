@@ -368,7 +368,7 @@ fn what_is_masked_is_not_seen() {
         let levels = backbone.forward_levels(&points(other, hidden), options, &mut cx).unwrap();
         flat(levels.decoder().unwrap())
     };
-    // All hidden: the stem's convolution reads neighbours, which are what a mask leaves to be read.
+    // All hidden: the stem's convolution reads neighbors, which are what a mask leaves to be read.
     let all = vec![true; view.len()];
     assert_eq!(rows(false, &all, true), rows(true, &all, true));
     assert_ne!(rows(false, &all, false), rows(true, &all, false));

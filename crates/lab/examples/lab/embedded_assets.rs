@@ -23,7 +23,7 @@ use std::path::{Path, PathBuf};
 /// Rooms of each kind of capture, those that are fitted to and those that the limit is from.
 const ROOMS: u64 = 8;
 const SEEDS: [u64; 2] = [5001, 5002];
-/// Rows of each room, about, and centres.
+/// Rows of each room, about, and centers.
 const ROWS: usize = 4000;
 const CENTRES: usize = 64;
 /// Rooms of each kind whose things are measured.
@@ -198,7 +198,7 @@ fn given(
     (100.0 * given / f64::max(all, 1.0), 100.0 * right / f64::max(given, 1.0))
 }
 
-/// Surface that all but the smallest things of each class have, square metres.
+/// Surface that all but the smallest things of each class have, square meters.
 fn least_surfaces(furniture: Option<&Furniture>) -> anyhow::Result<BTreeMap<String, f64>> {
     let mut of_class: BTreeMap<usize, Vec<f32>> = BTreeMap::new();
     for capture in [Capture::Made, Capture::Model] {

@@ -176,7 +176,7 @@ fn faded(scene: &GaussianScene, by: f32) -> GaussianScene {
     scene
 }
 
-/// Two in a hundred once more, unlabelled, this far below the floor.
+/// Two in a hundred once more, unlabeled, this far below the floor.
 fn outliers(scene: &GaussianScene, depth: f32, opacity: f32) -> GaussianScene {
     let mut added = every(scene, 50);
     for row in 0..added.len() {
@@ -186,7 +186,7 @@ fn outliers(scene: &GaussianScene, depth: f32, opacity: f32) -> GaussianScene {
     joined(scene, added)
 }
 
-/// The room twice; the second one unlabelled, its floor at this height.
+/// The room twice; the second one unlabeled, its floor at this height.
 fn storey(scene: &GaussianScene, height: f64) -> GaussianScene {
     let translation = [0.0, 0.0, height];
     joined(scene, moved(scene, Similarity { translation, ..Similarity::IDENTITY }))
@@ -258,7 +258,7 @@ fn alike(scene: &GaussianScene) -> GaussianScene {
     scene
 }
 
-/// Side of the cells that densities are counted in, metres.
+/// Side of the cells that densities are counted in, meters.
 const CELL: f32 = 0.05;
 
 /// Gaussians of each class left out until a cell that the class touches holds as many as one of the class

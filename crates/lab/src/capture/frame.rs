@@ -21,7 +21,7 @@ const LEAST_LEFT: f64 = 0.3;
 const FEWEST_PATCHES: usize = 12;
 /// Standard deviation of rounding to whole numbers, 1/√12.
 const ROUNDING: f64 = 0.288_675;
-/// Norm of the weights of grey: how much of the noise of three channels is in it.
+/// Norm of the weights of gray: how much of the noise of three channels is in it.
 const GRAY_NORM: f64 = 0.668_6;
 
 /// Figures of a picture by itself.
@@ -30,12 +30,12 @@ pub struct FrameFigures {
     /// Variance of the Laplacian at up to 640 pixels of width, less that of its noise, over the square of its
     /// mean: exposure does not change it.
     pub sharpness: f64,
-    /// Energy of fine detail by direction, grey steps²: the mean of `∇ΔI ∇ΔIᵀ`, entries xx, xy, yy, less that
+    /// Energy of fine detail by direction, gray steps²: the mean of `∇ΔI ∇ΔIᵀ`, entries xx, xy, yy, less that
     /// of noise. Motion takes away what is along it.
     pub detail: [f64; 3],
     /// Part of the energy before noise was taken off that is left, 0 to 1.
     pub detail_left: f64,
-    /// Standard deviation of noise in flat patches, grey steps of 1/255; `None` where no patch is flat enough
+    /// Standard deviation of noise in flat patches, gray steps of 1/255; `None` where no patch is flat enough
     /// to tell.
     pub noise_steps: Option<f64>,
     /// That noise over what the simulator's is at severity 1 and this light; rounding is taken off.
@@ -119,7 +119,7 @@ pub(super) fn motion(photo: &FrameFigures, wanted: &FrameFigures) -> Option<f64>
     (low > 1e-3 * high).then(|| (high / low).ln()).or(Some(1e3f64.ln()))
 }
 
-/// Noise of the flat patches: grey steps, and as a severity.
+/// Noise of the flat patches: gray steps, and as a severity.
 ///
 /// # Source
 /// Immerkær, Fast Noise Variance Estimation (1996): the difference of two Laplacians, which edges and
@@ -174,7 +174,7 @@ mod tests {
     use scenesplat_scene::linear_light::display;
     use scenesplat_scene::{Camera, Distortion};
 
-    /// Soft shades of grey: what noise is measured on.
+    /// Soft shades of gray: what noise is measured on.
     struct Shades;
 
     impl PictureRenderer for Shades {

@@ -90,7 +90,7 @@ mod tests {
     use scenesplat_scene::Distortion;
     use scenesplat_scene::linear_light::{display, linear};
 
-    /// A grey dot 2 m ahead, a white one 2 m behind the camera, and a red one 5 m ahead.
+    /// A gray dot 2 m ahead, a white one 2 m behind the camera, and a red one 5 m ahead.
     fn prepared(depth: bool) -> Prepared {
         let gaussians = Gaussians {
             means: vec![[0.0, 0.0, 2.0], [0.0, 0.0, -2.0], [0.0, 0.0, 5.0]],

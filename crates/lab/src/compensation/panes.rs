@@ -44,7 +44,7 @@ pub fn glass_decision(
     Ok(section.of(Effect::Glass).cloned().unwrap_or_default())
 }
 
-/// The panes in some balls (centre, radius), as the profile finds them: each of the balls that hang together is a pane.
+/// The panes in some balls (center, radius), as the profile finds them: each of the balls that hang together is a pane.
 /// Its Gaussians are those in it that are fainter than usual; what is as faint behind it may be mirror images.
 /// Behind is the side
 /// of which more that is faint has something solid where its mirror image would be.
@@ -228,7 +228,7 @@ mod tests {
     }
     use scenesplat_scene::gaussian_scene::probability_to_logit;
 
-    /// Balls of 10 cm around a square metre at x = 2, and a single one far away.
+    /// Balls of 10 cm around a square meter at x = 2, and a single one far away.
     fn balls() -> Vec<[f32; 4]> {
         let mut balls: Vec<[f32; 4]> =
             (0..36).map(|i| [2.0, 0.2 * (i % 6) as f32, 0.2 * (i / 6) as f32, 0.14]).collect();

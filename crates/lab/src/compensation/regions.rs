@@ -3,7 +3,7 @@
 use rayon::prelude::*;
 use std::collections::HashMap;
 
-/// Whether each point lies in one of the balls (centre, radius); empty if there is no ball. `coord`: `[N, 3]`
+/// Whether each point lies in one of the balls (center, radius); empty if there is no ball. `coord`: `[N, 3]`
 ///
 /// Balls with a number that is not finite, or of radius 0, hold nothing.
 pub(super) fn inside(balls: &[[f32; 4]], coord: &[[f32; 3]]) -> Vec<bool> {

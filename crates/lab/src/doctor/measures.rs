@@ -73,7 +73,7 @@ pub struct SignBias {
 impl SignBias {
     /// Of numbers beside the right ones.
     ///
-    /// Errors may lean up or down, or away from zero or towards it (a gradient that is too long or too
+    /// Errors may lean up or down, or away from zero or toward it (a gradient that is too long or too
     /// short everywhere): the stronger of the two counts.
     /// Each with the magnitude at which a unit in the last place is taken. A number that comes several
     /// times is rounded alike each time: it counts once.

@@ -129,9 +129,9 @@ fn change_corner(
     vec![false; there.len()]
 }
 
-/// Side of the damaged corner, metres.
+/// Side of the damaged corner, meters.
 const CORNER: f32 = 1.0;
-/// What is farther from the corner than this is far away, metres.
+/// What is farther from the corner than this is far away, meters.
 const FAR: f32 = 1.5;
 
 /// The Gaussians near the vertical edge of the room at its largest x and y.
@@ -213,7 +213,7 @@ fn tiny() -> Result<Box<dyn Backbone>, Failure> {
 /// What a voxel of [`cells`] has.
 const CHANNELS: usize = 3;
 
-/// Different voxels without an order, dense enough to have neighbours, and numbers for them.
+/// Different voxels without an order, dense enough to have neighbors, and numbers for them.
 fn cells(count: usize, seed: u64) -> (Vec<[i32; 3]>, Vec<f32>) {
     let mut rng = Noise::new(seed);
     let side = (f64::from(count as u32) * 4.0).cbrt().ceil() as usize + 1;

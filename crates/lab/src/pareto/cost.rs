@@ -16,7 +16,7 @@ pub struct Size {
     pub classes: usize,
     /// Numbers of a feature.
     pub width: usize,
-    /// Neighbours that vote.
+    /// Neighbors that vote.
     pub k: usize,
 }
 
@@ -46,7 +46,7 @@ pub struct CostModel {
     pub read: Vec<f64>,
     /// The network, by setting: once, a voxel, and a Gaussian, which has to be put into one.
     pub network: BTreeMap<String, Vec<f64>>,
-    /// Labelling: once, a Gaussian, a Gaussian's neighbour, and a voxel's product with a class.
+    /// Labeling: once, a Gaussian, a Gaussian's neighbor, and a voxel's product with a class.
     pub labels: Vec<f64>,
     /// Writing and drawing, by command: once, a Gaussian, and a number of its feature.
     pub results: BTreeMap<String, Vec<f64>>,

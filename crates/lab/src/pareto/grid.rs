@@ -64,7 +64,7 @@ pub struct Grid {
     pub axes: Vec<Axis>,
     /// Single settings beside the product, completed from the reference.
     pub points: Vec<Setting>,
-    /// Whether settings are left out that a measured neighbour rules out.
+    /// Whether settings are left out that a measured neighbor rules out.
     pub skip: bool,
     /// What must not change the result.
     pub neutral: Neutral,
@@ -115,7 +115,7 @@ impl Grid {
         Self::parse(text, "configs/pareto/default.toml")
     }
 
-    /// What a machine is calibrated with: settings of a network whose voxels are `voxel` metres, from
+    /// What a machine is calibrated with: settings of a network whose voxels are `voxel` meters, from
     /// twice as coarse as its own to two passes.
     ///
     /// # Errors

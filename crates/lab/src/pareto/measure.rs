@@ -187,7 +187,7 @@ struct Quality {
 /// run whose labels are scored. All runs have to give the same labels.
 ///
 /// # Errors
-/// If a scene cannot be read, labelled or scored, its oracle, where it is asked for, falls short of its
+/// If a scene cannot be read, labeled or scored, its oracle, where it is asked for, falls short of its
 /// analytic value, a repeat gives other labels, or the stages leave more than 3 % of the time unexplained.
 pub fn measure(job: &Job<'_>) -> Result<Measured, ParetoError> {
     let names = job.stage_names();

@@ -1,4 +1,4 @@
-//! What accuracy costs: a grid of settings, measured on labelled scenes, and the front among them.
+//! What accuracy costs: a grid of settings, measured on labeled scenes, and the front among them.
 //!
 //! A [`Grid`] declares what to try. [`order`] and [`ruled_out`] say what to measure next and what is
 //! not worth it, [`measure`] measures a setting in this process, [`Records`] keeps what was measured,

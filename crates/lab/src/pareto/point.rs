@@ -31,7 +31,7 @@ pub struct Point {
     pub miou: Option<f64>,
     /// Foreground mean accuracy.
     pub f_macc: Option<f64>,
-    /// Share of Gaussians labelled as the reference labels them.
+    /// Share of Gaussians labeled as the reference labels them.
     pub agreement: Option<f64>,
     /// Share of queries whose best Gaussian is right.
     pub query_hit1: Option<f64>,

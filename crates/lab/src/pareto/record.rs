@@ -102,7 +102,7 @@ pub struct Record {
     pub f_macc: Option<f64>,
     /// Mean accuracy.
     pub macc: Option<f64>,
-    /// Share of labelled Gaussians with the right class.
+    /// Share of labeled Gaussians with the right class.
     pub all_acc: Option<f64>,
     /// Share of Gaussians with the label that the reference gives.
     pub agreement: Option<f64>,

@@ -1,4 +1,4 @@
-//! Which settings need not be measured, because neighbours that were rule them out.
+//! Which settings need not be measured, because neighbors that were rule them out.
 //!
 //! The values of an axis are ordered cheap to accurate. A setting that is nowhere more accurate than a
 //! measured one cannot be worth more than that, and one that is nowhere cheaper cannot cost less. Where

@@ -65,7 +65,7 @@ pub struct Summary {
     pub random_labels: Option<Point>,
     /// What must not change the result.
     pub neutral: Vec<NeutralRow>,
-    /// Settings that were not measured because neighbours rule them out.
+    /// Settings that were not measured because neighbors rule them out.
     pub skipped: Vec<RuledOut>,
     /// Settings that were not measured because time was over.
     pub unmeasured: Vec<String>,
@@ -82,7 +82,7 @@ pub struct Summary {
 pub struct Around {
     /// The reference setting.
     pub reference: String,
-    /// Settings that neighbours rule out.
+    /// Settings that neighbors rule out.
     pub skipped: Vec<RuledOut>,
     /// Settings for which there was no time.
     pub unmeasured: Vec<String>,

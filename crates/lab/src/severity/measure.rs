@@ -11,13 +11,13 @@ use scenesplat_datasets::effects::Simulated;
 use scenesplat_metrics::{ConfidenceBins, ConfusionMatrix, Metric, ZeroShotOptions};
 use scenesplat_scene::{GaussianScene, LabelSet, TextTable};
 
-/// Neighbours that vote, as in the paper.
+/// Neighbors that vote, as in the paper.
 const VOTE_K: usize = 25;
 /// Share of the Gaussians of undamaged rooms that may count as unknown.
 const UNKNOWN_UNDAMAGED: f64 = 0.05;
-/// Side of a damaged corner, metres.
+/// Side of a damaged corner, meters.
 const CORNER: f32 = 1.0;
-/// What is farther from the corner than this is far away, metres.
+/// What is farther from the corner than this is far away, meters.
 const FAR: f32 = 1.5;
 
 /// Labels of a scene with the probability of each.

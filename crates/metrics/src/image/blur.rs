@@ -151,7 +151,7 @@ fn blur_across(axis: &Axis, channels: usize, row: &[f64], out: &mut [f64]) {
     if axis.plain.is_empty() {
         return;
     }
-    // A neighbour pixel is `channels` values away: the row is blurred as one run of values.
+    // A neighbor pixel is `channels` values away: the row is blurred as one run of values.
     let count = axis.plain.len() * channels;
     let first = (axis.plain.start - RADIUS) * channels;
     let out = &mut out[axis.plain.start * channels..][..count];

@@ -6,9 +6,9 @@ use super::view::{check_finite, check_size};
 /// Which pixels of a measured depth image count.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct DepthRange {
-    /// Measured depths up to this are no measurement, metres; sensors write 0 for "nothing".
+    /// Measured depths up to this are no measurement, meters; sensors write 0 for "nothing".
     pub min: f32,
-    /// Measured depths above this are not trusted, metres.
+    /// Measured depths above this are not trusted, meters.
     pub max: f32,
 }
 
@@ -29,7 +29,7 @@ impl DepthRange {
 /// Mean error of a depth image.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct DepthError {
-    /// Mean of `|pred − truth|` over the pixels that count, metres.
+    /// Mean of `|pred − truth|` over the pixels that count, meters.
     pub mean: f64,
     /// Number of pixels that count.
     pub count: usize,
@@ -38,7 +38,7 @@ pub struct DepthError {
 /// Mean of `|pred − truth|` over the pixels whose truth is in `range` and whose `mask` is true;
 /// `None` if there is no such pixel.
 ///
-/// Both `[H·W]`, metres along the viewing axis (not along the ray: convert data sets that store
+/// Both `[H·W]`, meters along the viewing axis (not along the ray: convert data sets that store
 /// ray lengths). A prediction of 0, where nothing was hit, counts as any other.
 ///
 /// # Errors
@@ -108,10 +108,10 @@ fn for_each_valid(
 /// Where the samples of a depth image lie.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub enum SamplePosition {
-    /// The centre of the first pixel is at (0.5, 0.5), as cameras have it.
+    /// The center of the first pixel is at (0.5, 0.5), as cameras have it.
     #[default]
     PixelCentres,
-    /// The centre of the first pixel is taken to be at (0, 0): half a pixel off, as gsplat's
+    /// The center of the first pixel is taken to be at (0, 0): half a pixel off, as gsplat's
     /// trainer samples. For numbers that are to be compared with it.
     Gsplat,
 }

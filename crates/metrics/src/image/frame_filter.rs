@@ -46,7 +46,7 @@ pub enum FrameVerdict {
         /// Its sharpness over the median around it.
         share: f64,
     },
-    /// Dropped: much less sharp than its neighbours.
+    /// Dropped: much less sharp than its neighbors.
     Blurred {
         /// Its sharpness over the median around it.
         share: f64,

@@ -14,12 +14,12 @@
 //! ```
 //! use scenesplat_metrics::image::{ImageView, SsimPadding, psnr, ssim};
 //!
-//! let (black, grey) = ([0.0; 16 * 16], [0.1; 16 * 16]);
+//! let (black, gray) = ([0.0; 16 * 16], [0.1; 16 * 16]);
 //! let black = ImageView::new(&black, 16, 16, 1)?;
-//! let grey = ImageView::new(&grey, 16, 16, 1)?;
-//! assert!((psnr(grey, black)? - 20.0).abs() < 1e-5);
-//! assert_eq!(psnr(grey, grey)?, f64::INFINITY);
-//! assert!((ssim(grey, grey, SsimPadding::Valid)? - 1.0).abs() < 1e-12);
+//! let gray = ImageView::new(&gray, 16, 16, 1)?;
+//! assert!((psnr(gray, black)? - 20.0).abs() < 1e-5);
+//! assert_eq!(psnr(gray, gray)?, f64::INFINITY);
+//! assert!((ssim(gray, gray, SsimPadding::Valid)? - 1.0).abs() < 1e-12);
 //! # Ok::<(), scenesplat_metrics::image::ImageError>(())
 //! ```
 

@@ -1,7 +1,7 @@
 //! How sharp a picture is: the variance of its Laplacian.
 //!
 //! The number depends on the size of the picture and on what it shows. Bring all frames of a data
-//! set to one width first ([`shrink_to_width`], say 640), and compare a frame with its neighbours
+//! set to one width first ([`shrink_to_width`], say 640), and compare a frame with its neighbors
 //! in time ([`super::frame_filter`]), not with a fixed number: a blank wall is never sharp.
 
 use super::ImageError;

@@ -69,7 +69,7 @@ fn classified(golden: &Golden, text: TextRows<'_>) -> Vec<i32> {
     found.labels
 }
 
-/// Neighbours and votes; returns the labels of `query`.
+/// Neighbors and votes; returns the labels of `query`.
 fn voted(golden: &Golden, labels: &[i32], query: &[[f32; 3]], num_classes: usize) -> Vec<i32> {
     let (coord, valid) = (golden.rows::<3>("in.coord"), mask(golden, "in.valid_feat_mask"));
     let k = golden.number("vote_k");

@@ -83,7 +83,7 @@ fn the_goldens_depths() {
     let expected = scalars["sparse_disparity_l1"].as_f64().unwrap();
     close(as_gsplat.0, expected, 1e-7, "sparse");
     same_gradient(&as_gsplat.1, &golden.f32s("grad_depth_sparse"), "sparse gradient");
-    // The same points half a pixel on, read at pixel centres.
+    // The same points half a pixel on, read at pixel centers.
     let shifted: Vec<[f32; 2]> = points.iter().map(|p| p.map(|v| v + 0.5)).collect();
     let exact =
         sparse_disparity_l1(&pred, 96, &shifted, &z, scale, SamplePosition::PixelCentres).unwrap();
@@ -267,7 +267,7 @@ fn sparse_depths_at_the_border_and_without_points() {
         sparse_disparity_l1(&depth, 2, points, z, 1.0, SamplePosition::PixelCentres)
     };
     assert_eq!(loss(&[], &[]).unwrap(), (0.0, vec![0.0; 4]));
-    // A pixel centre reads that pixel alone.
+    // A pixel center reads that pixel alone.
     assert_eq!(loss(&[[1.5, 0.5]], &[4.0]).unwrap(), (0.25, vec![0.0, -0.25, 0.0, 0.0]));
     // Nothing hit, nothing known, far outside: no disparity, no gradient.
     for point in [[1.5, 1.5], [-100.0, 0.5], [1e30, -1e30]] {

@@ -1,4 +1,4 @@
-//! Neighbour votes against the obvious version, on inputs that tie, repeat and degenerate.
+//! Neighbor votes against the obvious version, on inputs that tie, repeat and degenerate.
 
 use crate::reference;
 use crate::support::{gridded_room, in_all_pools, random_labels, rng};

@@ -15,7 +15,7 @@ pub(super) struct License {
 }
 
 impl License {
-    /// From the header of the properties and the licence's text: the first address in it.
+    /// From the header of the properties and the license's text: the first address in it.
     pub(super) fn of(values: &BTreeMap<String, String>, text: Option<&str>) -> Self {
         let link = text.and_then(|text| {
             let start = text.find("http")?;
@@ -39,7 +39,7 @@ impl License {
 /// trained with them. As text a table in Markdown, which can be read again.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
 pub struct Attribution {
-    /// Lines of the table: library, model, name, creator, licence, link.
+    /// Lines of the table: library, model, name, creator, license, link.
     lines: BTreeSet<String>,
 }
 

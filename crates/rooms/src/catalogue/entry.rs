@@ -3,7 +3,7 @@
 use super::names::Meaning;
 use std::collections::BTreeMap;
 
-/// A model of a catalogue, as its library describes it. Lengths in metres.
+/// A model of a catalogue, as its library describes it. Lengths in meters.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Entry {
     /// Unique among all libraries as a rule: the split goes by it.
@@ -38,7 +38,7 @@ pub struct Entry {
 /// Categories of what is in no room.
 const NOT_INDOORS: [&str; 4] = ["Exterior", "Characters", "Vehicles", "Staircases"];
 
-/// Largest extent that is taken for one of furniture, metres.
+/// Largest extent that is taken for one of furniture, meters.
 const LARGEST: f64 = 30.0;
 
 /// A model that is left out, and why.
@@ -88,7 +88,7 @@ fn entry<'a>(
             _ => Err(format!("{key}: {text:?} is no finite number")),
         }
     };
-    // Libraries count in centimetres.
+    // Libraries count in centimeters.
     let length = |key: &str| Ok::<_, String>(number(key)?.map(|cm| cm / 100.0));
     let mut size = [0.0; 3];
     for (out, key) in size.iter_mut().zip(["width", "depth", "height"]) {

@@ -1,4 +1,4 @@
-//! OBJ models with their materials, as triangles in metres: x to the right, +y to the front, z up.
+//! OBJ models with their materials, as triangles in meters: x to the right, +y to the front, z up.
 
 use super::Entry;
 use super::package::{Package, beside};
@@ -65,14 +65,14 @@ pub(super) fn read(entry: &Entry, package: &Package) -> Result<Mesh, String> {
     let bytes = package.read(&entry.model)?;
     let mtl = |name: &Path| {
         let file = beside(&entry.model, &name.to_string_lossy());
-        // A model without its materials is grey.
+        // A model without its materials is gray.
         let text = package.read(&file).map(|bytes| latin1(&bytes)).unwrap_or_default();
         tobj::load_mtl_buf(&mut text.as_bytes())
     };
     let options = tobj::LoadOptions { triangulate: true, ..Default::default() };
     let (models, materials) = tobj::load_obj_buf(&mut latin1(&bytes).as_bytes(), &options, mtl)
         .map_err(|error| format!("{}: {error}", entry.model))?;
-    // Materials that cannot be read are grey as well.
+    // Materials that cannot be read are gray as well.
     let materials = materials.unwrap_or_default();
     let mut paints = paints(&materials, entry, package);
     let opacity: Vec<f64> = (materials.iter())
@@ -129,7 +129,7 @@ fn latin1(bytes: &[u8]) -> String {
     }
 }
 
-/// Pictures that cannot be read leave the plain colour.
+/// Pictures that cannot be read leave the plain color.
 fn paints(materials: &[tobj::Material], entry: &Entry, package: &Package) -> Vec<Paint> {
     let mut pictures: BTreeMap<String, Option<Picture>> = BTreeMap::new();
     let mut load = |mentioned: &str| -> Option<Picture> {

@@ -1,5 +1,5 @@
-//! Models of real furniture, as Sweet Home 3D's libraries have them: names, sizes in centimetres, makers and
-//! licences in a properties file, shapes as OBJ with materials and textures.
+//! Models of real furniture, as Sweet Home 3D's libraries have them: names, sizes in centimeters, makers and
+//! licenses in a properties file, shapes as OBJ with materials and textures.
 //!
 //! A model is decoded to points of its surface, once, see [`Catalogue`].
 

@@ -11,12 +11,12 @@ use crate::vector::{V3, Z, unit_or};
 use scenesplat_kernels::random::{SampleRng, below, unit};
 use std::collections::BTreeMap;
 
-/// A decoded model, in its own frame: x to the right, +y to the front, z up from its underside, metres.
+/// A decoded model, in its own frame: x to the right, +y to the front, z up from its underside, meters.
 #[derive(Debug)]
 pub(crate) struct Piece {
     points: Vec<Point>,
     num_seen: usize,
-    /// Of all points, and of those that are seen, square metres.
+    /// Of all points, and of those that are seen, square meters.
     areas: [f64; 2],
     pub(crate) bounds: Block,
     pub(crate) solids: Vec<Block>,
@@ -25,16 +25,16 @@ pub(crate) struct Piece {
     pub(crate) mean_color: V3,
 }
 
-/// Cells of the ground plan in which it is looked where a model is solid, metres.
+/// Cells of the ground plan in which it is looked where a model is solid, meters.
 const CELL: f64 = 0.15;
 
-/// Gaps between the points of a column that nothing fits into, metres.
+/// Gaps between the points of a column that nothing fits into, meters.
 const GAP: f64 = 0.15;
 
-/// Cells of the level place where things stand, metres.
+/// Cells of the level place where things stand, meters.
 const SHELF_CELL: f64 = 0.04;
 
-/// What stands there ends below this height, metres.
+/// What stands there ends below this height, meters.
 const CLEARANCE: f64 = 0.6;
 
 impl Piece {
@@ -61,7 +61,7 @@ impl Piece {
         })
     }
 
-    /// Area with everything inside, or of what is seen from outside, square metres.
+    /// Area with everything inside, or of what is seen from outside, square meters.
     pub(crate) fn area(&self, with_hidden: bool) -> f64 {
         self.areas[usize::from(!with_hidden)]
     }
@@ -74,7 +74,7 @@ impl Piece {
         self.area(with_hidden) * mean
     }
 
-    /// A random point of the surface, and its colour.
+    /// A random point of the surface, and its color.
     pub(crate) fn sample(&self, with_hidden: bool, rng: &mut SampleRng) -> (SurfacePoint, V3) {
         let count = if with_hidden { self.points.len() } else { self.num_seen };
         let point = &self.points[below(rng, count as u32) as usize];

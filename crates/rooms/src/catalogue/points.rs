@@ -1,4 +1,4 @@
-//! Points on the faces of a mesh, evenly by area, with colour, normal and the nearest edge.
+//! Points on the faces of a mesh, evenly by area, with color, normal and the nearest edge.
 
 use super::mesh::{Mesh, Triangle};
 use super::seen::Views;
@@ -6,7 +6,7 @@ use crate::shape::FAR;
 use crate::vector::{V3, add_times, basis, cross, dot, length, mix, sub, times, unit_or};
 use scenesplat_kernels::random::{sample_rng, unit};
 
-/// Points per square metre, and the fewest and most of a model.
+/// Points per square meter, and the fewest and most of a model.
 const DENSITY: f64 = 10_000.0;
 const FEWEST: f64 = 1_500.0;
 const MOST: f64 = 40_000.0;
@@ -21,10 +21,10 @@ const CREASE: f64 = 0.866;
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Point {
     pub(super) coord: [f32; 3],
-    /// Unit, towards those who see it; and along the nearest edge; in 1/32767.
+    /// Unit, toward those who see it; and along the nearest edge; in 1/32767.
     pub(super) normal: [i16; 3],
     pub(super) tangent: [i16; 3],
-    /// Distance of the nearest edge, metres.
+    /// Distance of the nearest edge, meters.
     pub(super) edge: f32,
     pub(super) color: [u8; 3],
 }
@@ -43,7 +43,7 @@ struct Drawn {
 pub(super) struct Points {
     pub(super) all: Vec<Point>,
     pub(super) num_seen: usize,
-    /// Area that they stand for, square metres; glass and holes count by what there is to see.
+    /// Area that they stand for, square meters; glass and holes count by what there is to see.
     pub(super) area: f64,
 }
 
@@ -129,7 +129,7 @@ fn color(mesh: &Mesh, triangle: &Triangle, weights: V3) -> Option<V3> {
 /// Of each triangle, which of its sides (the first from corner 0 to 1) are edges of the surface: its
 /// border, or where it turns sharply.
 fn creases(triangles: &[Triangle]) -> Vec<[bool; 3]> {
-    // Files repeat corners: the same place, to a tenth of a millimetre, is the same corner.
+    // Files repeat corners: the same place, to a tenth of a millimeter, is the same corner.
     let key = |p: V3| p.map(|v| (v * 1e4).round() as i32);
     let mut sides: Vec<([[i32; 3]; 2], u32, u8)> = Vec::with_capacity(3 * triangles.len());
     for (index, triangle) in triangles.iter().enumerate() {
@@ -183,7 +183,7 @@ pub(super) fn spread(point: &Point, by: [f64; 2]) -> (V3, V3, V3) {
     (coord, normal, tangent)
 }
 
-/// The mean colour of points.
+/// The mean color of points.
 pub(super) fn mean_color(points: &[Point]) -> V3 {
     points.iter().enumerate().fold([0.0; 3], |mean, (number, point)| {
         mix(mean, point.color.map(f64::from), 1.0 / (number + 1) as f64)

@@ -21,7 +21,7 @@ struct View {
 /// Which sides of points are seen: how many pictures show the side of the normal, and the other side.
 pub(super) struct Views(Vec<View>);
 
-/// Directions towards cameras: a little from below, a little from above, from above.
+/// Directions toward cameras: a little from below, a little from above, from above.
 fn directions() -> Vec<V3> {
     let around: [[f64; 2]; 16] = [
         [1.0, 0.0],

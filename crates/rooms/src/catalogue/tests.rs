@@ -1,4 +1,4 @@
-//! A catalogue of a few models, made on the spot: sizes, axes, colours, parts, refusals, rooms.
+//! A catalogue of a few models, made on the spot: sizes, axes, colors, parts, refusals, rooms.
 
 use super::*;
 use crate::classes::ClassId;
@@ -13,7 +13,7 @@ const GREEN: [u8; 3] = [0, 255, 0];
 const BLUE: [u8; 3] = [0, 0, 255];
 const WHITE: [u8; 3] = [255, 255, 255];
 
-/// A box from 0 0 0 to 2 4 3, y up: front (towards +z) red, right (+x) green, left blue, top white, the rest
+/// A box from 0 0 0 to 2 4 3, y up: front (toward +z) red, right (+x) green, left blue, top white, the rest
 /// black.
 const BOX: &str = "mtllib box.mtl
 v 0 0 0\nv 2 0 0\nv 2 4 0\nv 0 4 0\nv 0 0 3\nv 2 0 3\nv 2 4 3\nv 0 4 3
@@ -26,7 +26,7 @@ usemtl white\nf 4 8 7 3\n";
 const BOX_MTL: &str = "newmtl black\nKd 0 0 0\nnewmtl red\nKd 1 0 0\nnewmtl green\nKd 0 1 0\nnewmtl blue\nKd 0 0 1\n\
     newmtl white\nKd 1 1 1\nnewmtl pane\nKd 0 0 1\nd 0.3\n";
 
-/// A square in the ground plane with a picture of four colours on it; (0, 0) of the picture is its lower left.
+/// A square in the ground plane with a picture of four colors on it; (0, 0) of the picture is its lower left.
 const QUAD: &str = "mtllib quad.mtl\nv 0 0 0\nv 1 0 0\nv 1 0 -1\nv 0 0 -1\nvt 0 0\nvt 1 0\nvt 1 1\nvt 0 1\nusemtl paint\n\
     f 1/1 2/2 3/3 4/4\n";
 
@@ -57,7 +57,7 @@ impl Maker {
         std::fs::write(self.folder.path().join("m").join(name), text).unwrap();
     }
 
-    /// A model of `model`, width, depth and height in centimetres, further lines with `#` for the number.
+    /// A model of `model`, width, depth and height in centimeters, further lines with `#` for the number.
     fn model(&mut self, name: &str, model: &str, [w, d, h]: [f64; 3], more: &str) {
         self.count += 1;
         let n = self.count;
@@ -91,7 +91,7 @@ fn piece(catalogue: &Catalogue, name: &str) -> Arc<Piece> {
     catalogue.piece(index).unwrap()
 }
 
-/// Where the points of a colour are on average, and their mean normal.
+/// Where the points of a color are on average, and their mean normal.
 fn of_color(piece: &Piece, color: [u8; 3]) -> (V3, V3) {
     let mut rng = sample_rng(1, 2, 3);
     let (mut sum, mut normals, mut count) = ([0.0; 3], [0.0; 3], 0.0);
@@ -160,7 +160,7 @@ fn textures_are_read_where_they_are() {
     for _ in 0..4000 {
         let (point, color) = rug.sample(false, &mut rng);
         assert!(dot(point.normal, [0.0, 0.0, 1.0]) > 0.999);
-        // In the middle of a pixel there is one colour. The picture's right is the model's +x, here −x; its
+        // In the middle of a pixel there is one color. The picture's right is the model's +x, here −x; its
         // top is the back, here −y.
         let [x, y, _] = point.coord;
         if (x.abs() - 0.5).abs() > 0.03 || (y.abs() - 0.25).abs() > 0.015 {

@@ -1,4 +1,4 @@
-//! Colours of materials, and of places on their textures.
+//! Colors of materials, and of places on their textures.
 
 use crate::vector::V3;
 use scenesplat_scene::picture::{Channels, Picture, Samples};
@@ -42,7 +42,7 @@ impl Texture {
         Some(Self { width, height, pixels, has_holes })
     }
 
-    /// Colour, 0..=255, between the four pixels around a place (the lower left corner of the picture is
+    /// Color, 0..=255, between the four pixels around a place (the lower left corner of the picture is
     /// 0 0, the upper right one 1 1); `None` where the nearest of them is transparent.
     pub(super) fn at(&self, [u, v]: [f64; 2]) -> Option<V3> {
         let (x, y) = (u * self.width as f64 - 0.5, (1.0 - v) * self.height as f64 - 0.5);

@@ -7,7 +7,7 @@ use crate::model::Model;
 use crate::vector::V3;
 use scenesplat_kernels::random::SampleRng;
 
-/// A shade: warm and bright, or of any colour.
+/// A shade: warm and bright, or of any color.
 fn shade(rng: &mut SampleRng) -> (ColorName, Material) {
     if chance(rng, 0.6) {
         let base =

@@ -18,7 +18,7 @@ pub(crate) fn tiles(rng: &mut SampleRng) -> Material {
     Material::new(base, Texture::Tiles(between(rng, 0.1, 0.35)), rng).with_second(joint)
 }
 
-/// What is seen through the panes: sky above, something green or grey below, or only light.
+/// What is seen through the panes: sky above, something green or gray below, or only light.
 pub(crate) fn outside(rng: &mut SampleRng) -> Material {
     let (base, size, second) = match whole(rng, 0, 2) {
         0 => ([206.0, 222.0, 240.0], 1.2, [250.0; 3]),
@@ -28,7 +28,7 @@ pub(crate) fn outside(rng: &mut SampleRng) -> Material {
     Material::new(base, Texture::Sheen(size), rng).with_second(second)
 }
 
-/// Of the given size; `recess` metres behind the wall's face.
+/// Of the given size; `recess` meters behind the wall's face.
 pub(crate) fn window([wide, high]: [f64; 2], recess: f64, rng: &mut SampleRng) -> Model {
     let (color, frame) = if chance(rng, 0.6) {
         (White, Material::plain(White.sample(rng)))

@@ -26,7 +26,7 @@ impl Room<'_> {
             let keyboard = self.make(electronics::keyboard, Place::Top);
             let turn = small_turn(self.rng, 0.1);
             let at = between(self.rng, -0.08, 0.08);
-            // Keys look towards the chair, which is at the front of the desk.
+            // Keys look toward the chair, which is at the front of the desk.
             self.layout.on_top_at(desk, 0, [at, y * 0.55], turn, keyboard);
         }
         if self.likely(0.5) {

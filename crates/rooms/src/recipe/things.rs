@@ -81,7 +81,7 @@ impl Room<'_> {
             let fits = |entry: &Entry| is_clutter(entry) && belongs(entry);
             let Some(model) = self.stock.thing(Place::Wall, fits) else { continue };
             let at = model.piece.as_ref().map_or(1.4, |piece| piece.elevation);
-            // Nobody measures: a few centimetres more or less.
+            // Nobody measures: a few centimeters more or less.
             let z = (at + between(self.rng, -0.05, 0.05)).max(0.05);
             self.layout.against_wall(model, [z, z], self.rng);
         }

@@ -197,7 +197,7 @@ pub(super) fn nearest(word: &str) -> Vec<&'static str> {
     all.into_iter().take(3).map(|(_, phrase)| phrase).collect()
 }
 
-/// Letters to change, add, drop or swap with their neighbour.
+/// Letters to change, add, drop or swap with their neighbor.
 fn distance(a: &[char], b: &str) -> usize {
     let b: Vec<char> = b.chars().collect();
     let mut rows = vec![(0..=b.len()).collect::<Vec<usize>>()];

@@ -347,7 +347,7 @@ fn of_a_walk_there_is_what_can_be_seen_from_the_floor() {
         after.scene.check_rows().unwrap();
         assert!(after.scene.len() < before.scene.len());
         (made, kept) = (made + before.scene.len(), kept + after.scene.len());
-        // What looks down within half a metre of the floor is seen by nobody who stands.
+        // What looks down within half a meter of the floor is seen by nobody who stands.
         let count = |room: &SyntheticRoom| {
             let normal = room.scene.normal.as_ref().unwrap();
             let segment = room.scene.segment.as_ref().unwrap();
@@ -448,7 +448,7 @@ fn modelled(room: u64) -> SyntheticRoom {
 
 #[test]
 fn points_of_models_are_plain() {
-    // Walls of one colour: hardly any as made, most of these.
+    // Walls of one color: hardly any as made, most of these.
     let plain = |make: &dyn Fn(u64) -> SyntheticRoom| {
         let (mut of_one, mut all) = (0, 0);
         for number in 0..12 {
@@ -463,7 +463,7 @@ fn points_of_models_are_plain() {
                 colors.sort_unstable();
                 colors.dedup();
                 all += 1;
-                // With a skirting of another colour.
+                // With a skirting of another color.
                 of_one += usize::from(colors.len() <= 3);
             }
         }
@@ -473,7 +473,7 @@ fn points_of_models_are_plain() {
         generate(&SyntheticRoomSettings { points_share: 1.0, ..settings(room, 9000) }).unwrap()
     };
     let (before, after) = (plain(&points), plain(&modelled));
-    println!("walls of one colour: points {before:.2}, models {after:.2}");
+    println!("walls of one color: points {before:.2}, models {after:.2}");
     assert!(before < 0.3 && after > 0.4, "{before} {after}");
     assert!((0..12).all(|room| modelled(room).is_points));
 }

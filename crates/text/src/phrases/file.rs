@@ -7,7 +7,7 @@ use safetensors::tensor::{Dtype, SafeTensors, TensorView};
 use sha2::{Digest, Sha256};
 
 const PHRASES_SHA256: &str = "phrases_sha256";
-/// What the licences of its sources ask every copy to carry.
+/// What the licenses of its sources ask every copy to carry.
 const NOTICE: &str = include_str!("../../assets/NOTICE");
 
 fn sha256(phrases: &[String]) -> [u8; 32] {

@@ -21,7 +21,7 @@ const VECTORS: &[u8] = include_bytes!("../../assets/phrases.safetensors");
 /// Numbers that are kept of a vector.
 pub(crate) const KEPT: usize = 96;
 
-/// Phrases with the vectors that a sentence encoder gives them: centred by their mean, the 96 leading principal
+/// Phrases with the vectors that a sentence encoder gives them: centered by their mean, the 96 leading principal
 /// components, each row in bytes with one scale.
 ///
 /// Vectors of [`row`](Self::row), [`understand`](Self::understand) and [`project`](Self::project) are in one space:

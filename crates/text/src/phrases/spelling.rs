@@ -34,7 +34,7 @@ impl KnownWords {
     }
 
     /// What a word that is not known was meant to be: with one letter changed, added, dropped or swapped with its
-    /// neighbour (it, or what it may be a form of); else two known words in one ("houseplant"); else, from eight letters
+    /// neighbor (it, or what it may be a form of); else two known words in one ("houseplant"); else, from eight letters
     /// on, with two wrong letters.
     pub fn correction(&self, word: &str) -> Option<String> {
         let nearest = |errors: usize| {
@@ -85,7 +85,7 @@ impl KnownWords {
     }
 }
 
-/// Letters to change, add, drop or swap with their neighbour.
+/// Letters to change, add, drop or swap with their neighbor.
 fn distance(a: &[char], b: &[char]) -> usize {
     let mut before = vec![0; b.len() + 1];
     let mut last: Vec<usize> = (0..=b.len()).collect();

@@ -26,9 +26,9 @@ use rayon::prelude::*;
 use scenesplat_scene::Camera;
 use scenesplat_scene::linear_light::{display, linear};
 
-/// Distance behind a camera of the point about which it shakes: a wrist, metres.
+/// Distance behind a camera of the point about which it shakes: a wrist, meters.
 const PIVOT_METRES: f64 = 0.3;
-/// Distance at which the length of a blur is measured, metres.
+/// Distance at which the length of a blur is measured, meters.
 pub const BLUR_DISTANCE: f64 = 2.0;
 
 /// A picture as a renderer gives it.

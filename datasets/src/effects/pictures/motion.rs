@@ -169,7 +169,7 @@ mod tests {
         };
         let twist = end.log();
         assert!(near(twist.omega, [0.0, 0.0, FRAC_PI_2]), "{twist:?}");
-        // The point at the origin circles (1, 0, 0): ω × (0 − centre) = (0, −π/2, 0).
+        // The point at the origin circles (1, 0, 0): ω × (0 − center) = (0, −π/2, 0).
         assert!(near(twist.v, [0.0, -FRAC_PI_2, 2.0]), "{twist:?}");
         let none = Twist::default().exp();
         let half = interpolate(&none, &end, 0.5);

@@ -19,7 +19,7 @@ pub(super) fn camera() -> Camera {
     }
 }
 
-/// A wall at z = 4 with stripes across x, drawn exactly at the centres of pixels.
+/// A wall at z = 4 with stripes across x, drawn exactly at the centers of pixels.
 #[derive(Default)]
 struct Stripes {
     drawn: Cell<usize>,

@@ -41,7 +41,7 @@ pub struct EffectDecision {
     pub action: Option<String>,
     /// Because of what, in words.
     pub why: String,
-    /// Where: centre and radius of balls, in units of the scene.
+    /// Where: center and radius of balls, in units of the scene.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub regions: Vec<[f32; 4]>,
     /// Gaussians, or pictures, that it changed; `None` where that is not counted.

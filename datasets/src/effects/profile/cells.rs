@@ -65,7 +65,7 @@ impl Cells {
     }
 
     /// The cells of panes, by how many Gaussians there are in each and the sum of their opacities over the median one:
-    /// those that are empty or faint amid solid ones, where enough of them, taken together with their neighbours,
+    /// those that are empty or faint amid solid ones, where enough of them, taken together with their neighbors,
     /// hold something. A hole has nothing in it.
     pub(super) fn panes(&self, here: &[(u32, f64)]) -> Vec<bool> {
         // The mean: the edge of a shelf before it makes no wall of a pane, and the clearest of a wall no pane. Where all of a

@@ -35,7 +35,7 @@ pub struct EffectEvidence {
     pub threshold: f64,
     /// Numbers that go with it.
     pub more: Vec<Figure>,
-    /// Where it is, if the measure says that, whether it is there or not: balls (centre, radius) in units of the
+    /// Where it is, if the measure says that, whether it is there or not: balls (center, radius) in units of the
     /// scene. Of holes, the gaps with what lies around them; of glass, the panes.
     pub regions: Vec<[f32; 4]>,
     /// One sentence.
@@ -116,7 +116,7 @@ fn words(effect: Effect) -> &'static str {
     match effect {
         Effect::Holes => "of the walls and floors that bound the scene, gaps are",
         Effect::Floaters => "Gaussians with neither a surface nor company around them are",
-        Effect::Surface => "centres lie off the plane of their neighbours by",
+        Effect::Surface => "centers lie off the plane of their neighbors by",
         Effect::Blur => "Gaussians are drawn out in common by, in sizes of theirs,",
         Effect::Glass => "of a large plane, what is see-through makes up",
         Effect::Light => "light drifts along surfaces, by",

@@ -1,14 +1,14 @@
 //! Floaters: Gaussians around which there is neither a surface nor company.
 //!
 //! Looser than [`isolation`](super::isolation), which has to be right about each Gaussian: floaters that are
-//! each other's neighbours count, and so do large ones. A share of a scene is judged, not a row; and only
+//! each other's neighbors count, and so do large ones. A share of a scene is judged, not a row; and only
 //! where surfaces are what there is, as in rooms: fur and leaves have neither.
 
 use super::planes::Shell;
 use super::table::{Table, quantile_of};
 use super::{Figure, Measured, Outcome};
 
-/// In the air is whose fourth neighbour is so many times farther than usual, if the patch is no piece of a
+/// In the air is whose fourth neighbor is so many times farther than usual, if the patch is no piece of a
 /// surface: walls are often sampled more sparsely than what stands before them.
 const FAR: f64 = 2.75;
 

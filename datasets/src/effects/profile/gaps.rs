@@ -12,7 +12,7 @@ pub(super) const THICK: f64 = 0.04;
 const PER_CELL: f64 = 10.0;
 /// Cells along a side at most; cells are larger where that is not enough.
 const MOST_CELLS: usize = 256;
-/// Labels are lost up to so far from what is missing, metres (docs/effects.md).
+/// Labels are lost up to so far from what is missing, meters (docs/effects.md).
 const RIM: f64 = 0.15;
 
 /// A large flat surface.

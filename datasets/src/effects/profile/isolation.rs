@@ -3,18 +3,18 @@
 use scenesplat_scene::GaussianScene;
 use scenesplat_scene::quantile::quantile;
 
-/// The neighbour whose distance is looked at: the fourth, so that a pair or triple of stray
+/// The neighbor whose distance is looked at: the fourth, so that a pair or triple of stray
 /// Gaussians is not its own company.
 pub const NEIGHBOUR: usize = 4;
 
 /// Fewer rows have no usual spacing.
 pub const FEWEST_ROWS: usize = 100;
 
-/// A Gaussian is isolated when its neighbour is so many times farther than for 90 % of all …
+/// A Gaussian is isolated when its neighbor is so many times farther than for 90 % of all …
 const FAR: f64 = 2.5;
 
 /// … and so many times farther than its own reach of three standard deviations: large Gaussians of
-/// sparse places fill the space up to their neighbours. In twelve real scenes at most 0.03 % are.
+/// sparse places fill the space up to their neighbors. In twelve real scenes at most 0.03 % are.
 const UNSUPPORTED: f64 = 2.0;
 
 /// Where all sizes are small for the spacing, as when only positions were rescaled, a Gaussian must
@@ -25,10 +25,10 @@ const UNUSUAL: f64 = 7.0;
 /// Beyond so many times the distance of 90 %, size does not excuse. Real scenes: at most 0.12 %.
 const VERY_FAR: f64 = 5.0;
 
-/// What is far for a neighbour in a scene.
+/// What is far for a neighbor in a scene.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Isolation {
-    /// Median distance to the fourth neighbour, in units of the scene.
+    /// Median distance to the fourth neighbor, in units of the scene.
     pub spacing: Option<f64>,
     /// That of 90 %; 0 where there are too few rows, or too many in one place, to tell.
     usual: f64,
@@ -36,7 +36,7 @@ pub struct Isolation {
 }
 
 impl Isolation {
-    /// From the distances of some Gaussians to their fourth neighbours, and their reaches.
+    /// From the distances of some Gaussians to their fourth neighbors, and their reaches.
     pub fn of(distances: &[f32], reach: impl Fn(usize) -> f64) -> Self {
         let mut sorted = distances.to_vec();
         let spacing = quantile(&mut sorted, 0.5).map(f64::from);
@@ -51,7 +51,7 @@ impl Isolation {
         Self { spacing, usual, unsupported }
     }
 
-    /// Whether a Gaussian whose fourth neighbour is so far away, and that reaches so far itself, has
+    /// Whether a Gaussian whose fourth neighbor is so far away, and that reaches so far itself, has
     /// no others around.
     pub fn is_isolated(&self, distance: f32, reach: f64) -> bool {
         let d = f64::from(distance);

@@ -45,16 +45,16 @@ struct Measured {
     more: Vec<Figure>,
     /// The number that the severity is read from.
     strength: f64,
-    /// Where it is, if that can be said: centre and radius, in units of the scene.
+    /// Where it is, if that can be said: center and radius, in units of the scene.
     regions: Vec<[f32; 4]>,
 }
 
 /// What was measured, or why nothing could be.
 type Outcome = Result<Measured, &'static str>;
 
-/// Looks at a scene, one of whose units is so many metres long.
+/// Looks at a scene, one of whose units is so many meters long.
 ///
-/// However large the scene, at most 8192 neighbour searches among 65 536 Gaussians, and one look at each row.
+/// However large the scene, at most 8192 neighbor searches among 65 536 Gaussians, and one look at each row.
 ///
 /// ```
 /// use scenesplat_datasets::effects::profile::profile;

@@ -1,8 +1,8 @@
-//! Noise of the sensor: differences of neighbours' hues that depend on the light as a sensor's do.
+//! Noise of the sensor: differences of neighbors' hues that depend on the light as a sensor's do.
 //!
 //! A sensor's noise has the variance read² + shot² · light in linear light; a display curve spreads it
 //! most in the dark. Texture and the noise of training have no such dependence. So the variance of hue
-//! differences between neighbours is fitted, over levels of light, by a constant and that curve (a photon
+//! differences between neighbors is fitted, over levels of light, by a constant and that curve (a photon
 //! transfer curve), and the share of the curve is the evidence.
 
 use super::super::strength::{NOISE_READ, NOISE_SHOT};
@@ -11,7 +11,7 @@ use super::{FEWEST_PATCHES, Figure, Measured, Outcome};
 use scenesplat_scene::gaussian_scene::SH_C0;
 use scenesplat_scene::linear_light::{display_slope, linear};
 
-/// Neighbours that are compared with a Gaussian.
+/// Neighbors that are compared with a Gaussian.
 const PARTNERS: usize = 4;
 /// Levels of light, of equally many pairs.
 const LEVELS: usize = 12;
@@ -21,7 +21,7 @@ const RANGE: [f64; 2] = [0.1, 0.97];
 const SHARE: f64 = 0.35;
 const NORMAL: f64 = 0.453_762;
 
-/// A Gaussian's colour, values of a display.
+/// A Gaussian's color, values of a display.
 pub(super) fn color(table: &Table<'_>, row: usize) -> [f64; 3] {
     table.scene.sh_dc[row].map(|v| 0.5 + f64::from(SH_C0) * f64::from(v))
 }
@@ -53,7 +53,7 @@ pub(super) fn measure(table: &Table<'_>) -> Outcome {
         }
     }
     if pairs.len() < LEVELS * FEWEST_PATCHES {
-        return Err("there are too few colours within the range of a display");
+        return Err("there are too few colors within the range of a display");
     }
     pairs.sort_unstable_by(|a, b| a.0.total_cmp(&b.0).then(a.1.total_cmp(&b.1)));
     let levels: Vec<(f64, f64)> = (0..LEVELS)

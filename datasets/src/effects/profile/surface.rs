@@ -1,4 +1,4 @@
-//! Surfaces that are not smooth: centres scatter across the planes of their patches.
+//! Surfaces that are not smooth: centers scatter across the planes of their patches.
 
 use super::table::{Table, quantile_of};
 use super::{FEWEST_PATCHES, Figure, Measured, Outcome};

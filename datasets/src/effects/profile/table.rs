@@ -1,4 +1,4 @@
-//! The one table that all detectors read: patches of neighbours around a fixed choice of Gaussians.
+//! The one table that all detectors read: patches of neighbors around a fixed choice of Gaussians.
 //!
 //! At most [`MOST_ROWS`] Gaussians of a scene are looked at, evenly chosen, so that a large scene costs no more
 //! than a small one and its patches are no smaller than a hand.
@@ -13,7 +13,7 @@ use scenesplat_scene::{GaussianScene, vector};
 pub(super) const MOST_ROWS: usize = 65_536;
 /// Those among them around which is looked.
 const MOST_PATCHES: usize = 8192;
-/// Neighbours of each, itself not counted.
+/// Neighbors of each, itself not counted.
 pub(super) const NEAR: usize = 16;
 /// The spread across a patch is at most this share of that along it, or it is no piece of a surface.
 const FLAT: f64 = 0.35;
@@ -28,9 +28,9 @@ pub(super) struct Patch {
     pub(super) row: u32,
     /// Rows of the patch, the Gaussian itself among them, the nearest first.
     pub(super) near: Vec<u32>,
-    /// Distance to the fourth neighbour.
+    /// Distance to the fourth neighbor.
     pub(super) fourth: f32,
-    /// Standard deviation of the centres across the plane of least squares, in units of the scene; NaN where
+    /// Standard deviation of the centers across the plane of least squares, in units of the scene; NaN where
     /// the patch has no plane: too few of them, or all on a line.
     pub(super) rough: f64,
     /// The plane through the patch; `None` where the patch is no piece of a surface.
@@ -52,7 +52,7 @@ pub(super) struct Table<'a> {
     /// The box without what is stray.
     pub(super) bounds: Bounds,
     pub(super) patches: Vec<Patch>,
-    /// Median distance to the fourth neighbour among them, in units of the scene.
+    /// Median distance to the fourth neighbor among them, in units of the scene.
     pub(super) spacing: f64,
 }
 

@@ -11,7 +11,7 @@ use scenesplat_scene::input_file::read_text_file;
 use std::collections::HashMap;
 use std::path::{Path, PathBuf};
 
-/// Side of the cubes of which each becomes one point, metres: a scene has about a hundred million pixels.
+/// Side of the cubes of which each becomes one point, meters: a scene has about a hundred million pixels.
 const CELL: f64 = 0.02;
 /// Most pixels of a picture; those of the data set have 1024 × 768.
 const MAX_PIXELS: u64 = 1 << 26;
@@ -92,7 +92,7 @@ impl Cell {
     }
 }
 
-/// The factor from the artists' units to metres.
+/// The factor from the artists' units to meters.
 fn metres_per_unit(path: &Path) -> Result<f64, DataError> {
     const NAME: &str = "meters_per_asset_unit";
     let text = read_text_file(path)?;
@@ -149,7 +149,7 @@ impl PictureFiles {
         Ok(array)
     }
 
-    /// Hands out the pixels that show something: cube, point (metres), normal, label, instance. Whether there are normals.
+    /// Hands out the pixels that show something: cube, point (meters), normal, label, instance. Whether there are normals.
     fn add(
         &self,
         unit: f64,
@@ -176,7 +176,7 @@ impl PictureFiles {
             let point = [0, 1, 2].map(|k| f64::from(point[k]) * unit);
             let cube = point.map(|v| (v / CELL).floor());
             if cube.iter().any(|v| v.abs() > f64::from(i32::MAX)) {
-                let problem = format!("pixel {at} is at {point:?} metres");
+                let problem = format!("pixel {at} is at {point:?} meters");
                 return Err(bad_file(&place.path, problem, "is meters_per_asset_unit right?"));
             }
             let normal = normals.as_ref().map_or([0.0; 3], |normals| {

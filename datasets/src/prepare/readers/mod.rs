@@ -69,7 +69,7 @@ impl ScanLayout {
     }
 }
 
-/// Reads the labelled points of a scan.
+/// Reads the labeled points of a scan.
 ///
 /// # Errors
 /// If a file is missing or is not what the layout says; names it and what is wrong.

@@ -263,7 +263,7 @@ fn hypersim() {
     // The pixel without a label, in the last row.
     assert_eq!((named(&scan)[17], scan.instance[17]), ("-", -1));
     assert_eq!(scan.names, ["floor", "table"]);
-    // Half metres; the mean of two pictures 5 mm apart, of the table of three.
+    // Half meters; the mean of two pictures 5 mm apart, of the table of three.
     let near = |p: [f32; 3], q: [f64; 3]| (0..3).all(|k| (f64::from(p[k]) - q[k]).abs() < 1e-6);
     assert!(near(scan.coord[0], [0.5125, 0.01, 0.01]), "{:?}", scan.coord[0]);
     assert!(near(scan.coord[4], [2.51 + 0.0025 / 3.0, 0.01, 0.01]), "{:?}", scan.coord[4]);

@@ -46,7 +46,7 @@ pub(super) fn deform_gaussian(
     (with_positive_w(of_matrix(rotation)).map(|v| v as f32), size)
 }
 
-/// The direction of a surface normal on the moved surface: `det(J) J⁻ᵀ n`, normalised; a normal of
+/// The direction of a surface normal on the moved surface: `det(J) J⁻ᵀ n`, normalized; a normal of
 /// length 0 stays.
 pub(super) fn deform_normal(gradient: &Matrix, normal: [f32; 3]) -> [f32; 3] {
     let n = normal.map(f64::from);

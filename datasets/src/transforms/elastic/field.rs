@@ -43,7 +43,7 @@ impl Field {
         Ok(field)
     }
 
-    /// The mean of three neighbours along an axis, zero beyond the ends.
+    /// The mean of three neighbors along an axis, zero beyond the ends.
     fn smooth(&mut self, axis: usize) {
         let stride: usize = self.size[axis + 1..].iter().product();
         let length = self.size[axis];

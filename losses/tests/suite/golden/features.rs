@@ -138,7 +138,7 @@ fn contrastive() {
     }
 }
 
-/// The criterion of language pretraining on raw features, with the networks' normalisation.
+/// The criterion of language pretraining on raw features, with the networks' normalization.
 #[test]
 fn language_total() {
     let Some(g) = Golden::network("h_lang_total") else { return };

@@ -150,7 +150,7 @@ fn compare(what: &str, eps: f64, got: &[f64], want: &[f64]) {
     assert!(error < eps, "{what}[{i}]: {} instead of {} (largest {largest})", got[i], want[i]);
 }
 
-/// Two scenes with neighbours and with voxels apart, their rows in no order.
+/// Two scenes with neighbors and with voxels apart, their rows in no order.
 pub fn cloud() -> SerializedCloud {
     let mut cells: Vec<[i32; 3]> = (0..19).map(|i| [i * 7 % 3, i * 5 % 4, i / 6]).collect();
     cells.sort_unstable();

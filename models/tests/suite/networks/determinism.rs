@@ -267,7 +267,7 @@ pub fn few_voxels_and_odd_places() {
         ("one voxel", vec![[3, 1, 4]]),
         ("one voxel at the origin", vec![[0; 3]]),
         ("one voxel at the end", vec![[last; 3]]),
-        ("two neighbours", vec![[7, 7, 7], [7, 7, 8]]),
+        ("two neighbors", vec![[7, 7, 7], [7, 7, 8]]),
         ("two far apart", vec![[0; 3], [last; 3]]),
         ("a line along x", (0..50).map(|i| [i, 0, 0]).collect()),
         ("a line along z", (0..50).map(|i| [5, 5, 49 - i]).collect()),
@@ -288,8 +288,8 @@ pub fn about_as_many_voxels_as_a_patch_holds() {
     }
 }
 
-/// Mixed training scenes put two rows into one voxel: each row keeps its own centre, and to the
-/// neighbours the first row of the input stands for the voxel.
+/// Mixed training scenes put two rows into one voxel: each row keeps its own center, and to the
+/// neighbors the first row of the input stands for the voxel.
 #[test]
 pub fn rows_that_share_a_voxel() {
     let mut scene = random(200, 17);

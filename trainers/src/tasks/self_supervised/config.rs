@@ -21,7 +21,7 @@ settings! {
         /// What the student does not see of global views; `None` (`"none"` in files): all is seen.
         #[serde(with = "masking_or_none")]
         pub masking: Option<Masking> = Some(Masking::default()),
-        /// Edge of masked patches over the run, metres, in the place of the one in `masking`.
+        /// Edge of masked patches over the run, meters, in the place of the one in `masking`.
         #[serde(skip_serializing_if = "Option::is_none")]
         pub mask_size: Option<CosineSchedule> = None,
         /// Share of masked patches over the run, in the place of the one in `masking`.
@@ -165,7 +165,7 @@ pub enum Balance {
 }
 
 settings! {
-    /// Masked Gaussian modelling.
+    /// Masked Gaussian modeling.
     pub struct MaskedGaussiansTerm {
         /// Weight in the loss.
         pub weight: f64 = 1.0,
@@ -245,7 +245,7 @@ settings! {
         /// How many scales above the coarsest one the rows are compared at, with all coarser scales beside
         /// them.
         pub up_cast: usize = MatchedRows::default().up_cast,
-        /// Largest distance of matched rows, by their places before augmentation, metres.
+        /// Largest distance of matched rows, by their places before augmentation, meters.
         pub max_distance: f64 = MatchedRows::default().max_distance,
         /// Shares of masked views against the teacher's same view, against its other views, and of local
         /// views against its first view.
@@ -271,7 +271,7 @@ settings! {
         /// How many scales above the coarsest one the rows are compared at, with all coarser scales beside
         /// them.
         pub up_cast: usize = MatchedRows::default().up_cast,
-        /// Largest distance of matched rows, by their places before augmentation, metres.
+        /// Largest distance of matched rows, by their places before augmentation, meters.
         pub max_distance: f64 = MatchedRows::default().max_distance,
         /// Shares of masked views against the teacher's same view, against its other views, and of local
         /// views against its first view.
@@ -286,7 +286,7 @@ settings! {
         pub out: usize = 16,
         /// Width inside of the head.
         pub hidden: usize = 32,
-        /// Whether only masked Gaussians count, as beside masked Gaussian modelling in the paper.
+        /// Whether only masked Gaussians count, as beside masked Gaussian modeling in the paper.
         pub masked_only: bool = true,
     }
 }
@@ -496,7 +496,7 @@ impl SelfSupervisedConfig {
                 return wrong("mask_size", "single Gaussians are masked, which have none");
             }
             for value in [size.from, size.to, size.warmup_from] {
-                check_setting("mask_size", value, value > 0.0, "metres above 0")?;
+                check_setting("mask_size", value, value > 0.0, "meters above 0")?;
             }
         }
         if let Some(ratio) = &self.mask_ratio {

@@ -7,7 +7,7 @@ use scenesplat_models::Levels;
 
 /// Places of the rows of one scale of a view, before augmentation.
 pub(super) struct Places {
-    /// Mean place of the Gaussians of each row, metres; NaN where none is known. `[M, 3]`
+    /// Mean place of the Gaussians of each row, meters; NaN where none is known. `[M, 3]`
     pub coord: Vec<[f32; 3]>,
     /// Rows of each scene. `[B + 1]`
     pub offsets: Vec<usize>,

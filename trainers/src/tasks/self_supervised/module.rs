@@ -25,7 +25,7 @@ const VIEW_SEED: u64 = 0xD1B5_4A32_D192_ED03;
 ///
 /// In a step the student sees every view, of the global ones only what is not masked; the teacher sees the
 /// global ones whole. Terms compare what they make of them. After the optimizer's step the teacher moves
-/// towards the student.
+/// toward the student.
 ///
 /// Parameters are those of the network under their own names, so that its file is a model like any other,
 /// and of the heads under `heads.`.

@@ -13,7 +13,7 @@ use scenesplat_datasets::{InputChannel, InputFeatures, TrainBatch};
 use scenesplat_losses::self_supervised::GaussianDistance;
 use scenesplat_models::{Backbone, Forward, LevelOptions, ModelConfig, ParamStore};
 
-/// A trained student with its head of masked Gaussian modelling.
+/// A trained student with its head of masked Gaussian modeling.
 pub struct Reconstructor {
     network: Box<dyn Backbone>,
     head: Head,
@@ -59,7 +59,7 @@ impl Reconstructor {
     }
 
     /// What is reconstructed of the hidden rows of a batch, in its units (see [`InputFeatures`]): what the
-    /// head gives, but sizes in metres, whatever the distance compares.
+    /// head gives, but sizes in meters, whatever the distance compares.
     ///
     /// # Shapes
     /// `hidden`: `[N]`, whether the network must not see a row · returns: `[H, input]`, row-major, the
@@ -100,7 +100,7 @@ impl Reconstructor {
     }
 }
 
-/// Metres of the logarithm of a size, which is not below what the logarithm is taken of.
+/// Meters of the logarithm of a size, which is not below what the logarithm is taken of.
 fn size_of_log(log: f32) -> f32 {
     f64::from(log).exp().clamp(LEAST_SIZE, f64::from(f32::MAX)) as f32
 }

@@ -52,7 +52,7 @@ impl Teacher {
         Ok(())
     }
 
-    /// Moves parameters towards the student's; batch statistics stay its own.
+    /// Moves parameters toward the student's; batch statistics stay its own.
     ///
     /// # Errors
     /// If the student lacks one.

@@ -15,7 +15,7 @@ use scenesplat_losses::self_supervised::{
 };
 use scenesplat_losses::{Reduction, cosine, l2};
 
-/// Sizes below this count as this before their logarithm, metres.
+/// Sizes below this count as this before their logarithm, meters.
 pub(super) const LEAST_SIZE: f64 = 1e-4;
 
 /// The terms with their heads.

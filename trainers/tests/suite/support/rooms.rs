@@ -38,7 +38,7 @@ pub fn texts(width: usize) -> TextTable {
     TextTable::from_rows(names, values, width).unwrap()
 }
 
-/// Two global and two local views, each turned and sampled at a quarter of a metre.
+/// Two global and two local views, each turned and sampled at a quarter of a meter.
 pub fn views(global_ratio: f64) -> Vec<TransformConfig> {
     let each = || -> Vec<TransformConfig> {
         let turn = RandomRotate { probability: 1.0, ..RandomRotate::default() };

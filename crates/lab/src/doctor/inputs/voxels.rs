@@ -77,7 +77,7 @@ fn many_duplicates(trial: &Trial<'_>) -> Result<(), Failure> {
     Ok(())
 }
 
-/// The same room in millimetres is read as a scaled copy: what the network sees is the same room.
+/// The same room in millimeters is read as a scaled copy: what the network sees is the same room.
 fn millimetres(_: &Trial<'_>) -> Result<(), Failure> {
     let room = small_room()?;
     let mut large = room.clone();
@@ -85,7 +85,7 @@ fn millimetres(_: &Trial<'_>) -> Result<(), Failure> {
     large.log_scale.iter_mut().flatten().for_each(|v| *v += 1000f32.ln());
     let (metres, millimetres) = (encode(&room)?, encode(&large)?);
     let alignment = millimetres.alignment.as_ref();
-    ensure!(alignment.is_some_and(|a| !a.is_identity()), "taken as metres");
+    ensure!(alignment.is_some_and(|a| !a.is_identity()), "taken as meters");
     let (rows, width) = (room.len(), metres.width());
     let (a, b) = (metres.gaussian_rows(0..rows)?, millimetres.gaussian_rows(0..rows)?);
     ensure!(b.iter().all(|v| v.is_finite()), "not finite");
@@ -95,6 +95,6 @@ fn millimetres(_: &Trial<'_>) -> Result<(), Failure> {
     };
     let alike = (0..rows).filter(|&row| cosine(row) > 0.99).count();
     // Gaussians on the border of two voxels may change sides with the last bit of a product.
-    ensure!(alike * 100 >= rows * 95, "{alike} of {rows} features are those of the room in metres");
+    ensure!(alike * 100 >= rows * 95, "{alike} of {rows} features are those of the room in meters");
     Ok(())
 }

@@ -16,7 +16,7 @@ const POINTS: [Points; 5] = [
     (
         "on-their-borders",
         || {
-            // Multiples of the voxel size, and their neighbours among the f32.
+            // Multiples of the voxel size, and their neighbors among the f32.
             let around = |x: f32| [x, x.next_up(), x.next_down()].map(|x| [x, -x, 0.5 * x]);
             (-60..60).flat_map(|i| around(i as f32 * 0.02)).collect()
         },

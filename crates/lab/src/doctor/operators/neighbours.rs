@@ -1,4 +1,4 @@
-//! Nearest neighbours and the votes of labels among them, against all distances sorted.
+//! Nearest neighbors and the votes of labels among them, against all distances sorted.
 
 use crate::doctor::case::Case;
 use crate::doctor::noise::{Noise, points};

@@ -24,7 +24,7 @@ fn view() -> View {
     }
 }
 
-/// One Gaussian, grey.
+/// One Gaussian, gray.
 fn one(mean: [f32; 3], scale: [f32; 3], opacity: f32) -> Gaussians {
     Gaussians {
         means: vec![mean],
@@ -40,7 +40,7 @@ fn draw(scene: &Gaussians) -> Result<Rendered, Failure> {
     let request = RenderRequest { contributions: true, ..RenderRequest::rgb() };
     let out = render(scene, &view(), &RasterSettings::default(), &request)?;
     let rgb = out.rgb.as_deref().unwrap_or_default();
-    ensure!(rgb.iter().all(|v| v.is_finite()), "a colour is not finite");
+    ensure!(rgb.iter().all(|v| v.is_finite()), "a color is not finite");
     let inside = out.transmittance.iter().all(|t| (0.0..=1.0).contains(t));
     ensure!(inside, "a transmittance is outside of 0 to 1");
     let c = out.culled;
@@ -188,7 +188,7 @@ fn bad_neighbours(_: &Trial<'_>) -> Result<(), Failure> {
     let mut both = good.clone();
     append(&mut both, bad);
     let (alone, both) = (draw(&good)?, draw(&both)?);
-    ensure!(alone.rgb == both.rgb, "colours changed");
+    ensure!(alone.rgb == both.rgb, "colors changed");
     ensure!(alone.transmittance == both.transmittance, "transmittance changed");
     Ok(())
 }

@@ -153,7 +153,7 @@ fn duplicates(trial: &Trial<'_>) -> Result<(), Failure> {
         let map = map(&voxels, 3)?;
         Ok((0..27).map(|tap| map.tap_pairs(tap)).collect::<Vec<_>>())
     })?;
-    // The first row stands for the voxel; each row is its own centre.
+    // The first row stands for the voxel; each row is its own center.
     for (input, output) in pairs {
         for (i, o) in input.iter().zip(&output) {
             ensure!(*i < 200 || i == o, "row {i}, a copy, is an input of row {o}");

@@ -82,7 +82,7 @@ impl fmt::Display for StabilityRecipe {
     }
 }
 
-/// Size of a voxel, metres.
+/// Size of a voxel, meters.
 const GRID: f64 = 0.2;
 /// Channels of the features of language pretraining.
 pub(super) const WIDTH: usize = 64;

@@ -137,7 +137,7 @@ pub fn gradients_are_differences_of_the_formulas() {
                 let want = (above - below) / (2.0 * STEP);
                 let found: f64 = gradient.iter().zip(&along).map(|(g, d)| f64::from(*g) * d).sum();
                 let length = along.iter().map(|d| d * d).sum::<f64>().sqrt();
-                // Parameters without effect (the bias of a key, of what is normalised next) have
+                // Parameters without effect (the bias of a key, of what is normalized next) have
                 // rounding errors of the others.
                 let scale = norm(gradient) * length / (gradient.len() as f64).sqrt();
                 let scale = scale.max(1e-3 * largest * length);

@@ -1,4 +1,4 @@
-//! The published networks: sizes, names, and how weights are recognised.
+//! The published networks: sizes, names, and how weights are recognized.
 
 use scenesplat_models::{LitePtConfig, LitePtSize, ModelConfig, ParamStore};
 
