@@ -101,7 +101,7 @@ fn choose(args: &BudgetArgs, job: &Job<'_>) -> Result<Option<Chosen>> {
     check_flags(flag, job)?;
     let weights_hash = weights_hash(job.inference)?;
     let machine = Machine { simd: Isa::current().name().to_owned(), ..Machine::detect() };
-    let (front, slower, remarks) = front_of(flag, &weights_hash, &machine)?;
+    let (front, slower, mut remarks) = front_of(flag, &weights_hash, &machine)?;
     let input = open_input(job.scene, &job.inference.source.options())?;
     let scene = &input.0.loaded.scene;
     if scene.lang_code.is_some()
@@ -118,24 +118,10 @@ fn choose(args: &BudgetArgs, job: &Job<'_>) -> Result<Option<Chosen>> {
     let alignment = Alignment::of(scene, &job.inference.alignment(false));
     let coord = center_shift(&alignment.apply(scene).coord);
     let native = embedded::config().map_or(0.02, |config| config.model.grid_size);
-    let mut counted: BTreeMap<u64, usize> = BTreeMap::new();
-    let mut size_of = |text: &str| {
-        let setting: Setting = text.parse().unwrap_or_default();
-        let size = setting.voxel.unwrap_or(native);
-        let voxels = *counted.entry(size.to_bits()).or_insert_with(|| {
-            voxel_groups(&coord, size, KeyOrder::Morton).map_or(coord.len(), |g| g.num_voxels())
-        });
-        Size {
-            gaussians: coord.len(),
-            voxels,
-            classes: front.classes,
-            width: setting.codes.unwrap_or(front.width),
-            k: setting.k.unwrap_or(VOTE_K),
-        }
-    };
+    let mut sizes = Sizes { coord, native, front: &front, counted: BTreeMap::new() };
     // Counts the voxels, which is a part of what is spent.
     for calibrated in &front.settings {
-        size_of(&calibrated.setting);
+        sizes.size(&calibrated.setting);
     }
     let ask = Ask {
         seconds: args.budget.map(|b| b.0),
@@ -144,9 +130,8 @@ fn choose(args: &BudgetArgs, job: &Job<'_>) -> Result<Option<Chosen>> {
     };
     let spent = began.elapsed().as_secs_f64();
     let choice = front
-        .choose(job.command, &ask, &mut size_of, slower, spent)
+        .choose(job.command, &ask, &mut |setting: &str| sizes.size(setting), slower, spent)
         .map_err(|error| WrongUse(format!("{flag}: {error}")))?;
-    let mut remarks = remarks;
     remarks.push(format!(
         "{flag}: {} ({}); about {} of this command, {:.1} % of the reference's f-mIoU on {}",
         choice.setting,
@@ -166,6 +151,34 @@ fn choose(args: &BudgetArgs, job: &Job<'_>) -> Result<Option<Chosen>> {
         setting: choice.setting,
     };
     Ok(Some(Chosen { setting, report, began, remarks, input }))
+}
+
+/// The size of the job with each setting.
+struct Sizes<'a> {
+    coord: Vec<[f32; 3]>,
+    /// Voxel size of the network.
+    native: f64,
+    front: &'a Calibration,
+    /// Voxels by the bits of their size.
+    counted: BTreeMap<u64, usize>,
+}
+
+impl Sizes<'_> {
+    fn size(&mut self, setting: &str) -> Size {
+        let setting: Setting = setting.parse().unwrap_or_default();
+        let size = setting.voxel.unwrap_or(self.native);
+        let coord = &self.coord;
+        let voxels = *self.counted.entry(size.to_bits()).or_insert_with(|| {
+            voxel_groups(coord, size, KeyOrder::Morton).map_or(coord.len(), |g| g.num_voxels())
+        });
+        Size {
+            gaussians: coord.len(),
+            voxels,
+            classes: self.front.classes,
+            width: setting.codes.unwrap_or(self.front.width),
+            k: setting.k.unwrap_or(VOTE_K),
+        }
+    }
 }
 
 /// Refuses flags that say what the budget is to choose.

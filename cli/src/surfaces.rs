@@ -84,6 +84,30 @@ impl SurfaceArgs {
         self.min_probability.map(|_| "--min-probability")
     }
 
+    /// Records by what probabilities labels are judged; refuses a least one where there are none.
+    fn note_probabilities(
+        self,
+        session: &Session<'_>,
+        temperature: Option<f32>,
+        is_classifier: bool,
+    ) -> Result<()> {
+        if let Some(least) = self.min_probability {
+            if temperature.is_none() && !is_classifier {
+                refuse!(
+                    "--min-probability: cosines of this network with these classes are not calibrated, as those of the \
+                            network inside the program with its own are; give a least cosine (--min-score)"
+                );
+            }
+            let meaning = "what is less probable stays unknown";
+            session.receipt.setting("min_probability", least, meaning);
+        }
+        if let Some(temperature) = temperature {
+            let meaning = "cosines over it are the logits of probabilities";
+            session.receipt.setting("temperature", temperature, meaning);
+        }
+        Ok(())
+    }
+
     /// What the labels of a scene are to agree on.
     pub fn find(
         self,
@@ -103,20 +127,7 @@ impl SurfaceArgs {
             None if is_vocabulary => Some(Calibration::embedded()?),
             own => own,
         };
-        if let Some(least) = self.min_probability {
-            if temperature.is_none() && !is_classifier {
-                refuse!(
-                    "--min-probability: cosines of this network with these classes are not calibrated, as those of the \
-                            network inside the program with its own are; give a least cosine (--min-score)"
-                );
-            }
-            let meaning = "what is less probable stays unknown";
-            session.receipt.setting("min_probability", least, meaning);
-        }
-        if let Some(temperature) = temperature {
-            let meaning = "cosines over it are the logits of probabilities";
-            session.receipt.setting("temperature", temperature, meaning);
-        }
+        self.note_probabilities(session, temperature, is_classifier)?;
         let is_on = match self.surfaces {
             SurfaceChoice::Auto => is_vocabulary,
             SurfaceChoice::On => true,

@@ -61,16 +61,7 @@ pub fn run(args: &Args, line: &str) -> Result<()> {
     let config = settled(config, &setting)?;
     session.outputs.reads(&args.scene)?;
     session.outputs.claim_any("--json", args.json.as_ref())?;
-    let sheet = match (&args.sheet, args.no_sheet) {
-        (_, true) => None,
-        (Some(path), _) => Some(path.clone()),
-        (None, _) => {
-            let out = &args.shared.out;
-            std::fs::create_dir_all(out)
-                .with_context(|| format!("{}: cannot make the output folder", out.display()))?;
-            Some(out.join(sheet_name(&args.scene)))
-        }
-    };
+    let sheet = sheet_path(args)?;
     session.outputs.claim_any("--sheet", sheet.as_ref())?;
     let opened = {
         let _stage = session.receipt.stage("read");
@@ -120,6 +111,20 @@ pub fn run(args: &Args, line: &str) -> Result<()> {
         bail!("{}: {} findings: {}", args.scene.display(), names.len(), names.join(", "));
     }
     Ok(())
+}
+
+/// Where the sheet is drawn, if it is.
+fn sheet_path(args: &Args) -> Result<Option<PathBuf>> {
+    Ok(match (&args.sheet, args.no_sheet) {
+        (_, true) => None,
+        (Some(path), _) => Some(path.clone()),
+        (None, _) => {
+            let out = &args.shared.out;
+            std::fs::create_dir_all(out)
+                .with_context(|| format!("{}: cannot make the output folder", out.display()))?;
+            Some(out.join(sheet_name(&args.scene)))
+        }
+    })
 }
 
 /// The network with a setting, as far as the estimate knows it.

@@ -83,10 +83,8 @@ pub fn run(args: &Args, line: &str) -> Result<()> {
     let labelled =
         if args.plain { plain(labels, &session)? } else { labels.label(&session, false)? };
     let frame = frame(&labelled.opened, inference);
-    let found = match args.plain {
-        true => None,
-        false => Some(labelled.objects(&session, &labels.settings(), labels.pieces, frame)?),
-    };
+    let objects = || labelled.objects(&session, &labels.settings(), labels.pieces, frame);
+    let found = (!args.plain).then(objects).transpose()?;
     session.check_stop()?;
     // Of the width of the texts, which --text vocabulary:D sets.
     let vocabulary = match labelled.is_vocabulary {
@@ -112,14 +110,7 @@ pub fn run(args: &Args, line: &str) -> Result<()> {
         let waiting = session.outputs.file_path(out)?;
         let report = write_page(&waiting, &input, &settings)?;
         session.wrote(&waiting, report.bytes);
-        session.receipt.add_rows_out(report.gaussians);
-        print(&format!("{}: {}; opens from disk", out.display(), summary(&report, args)));
-        if report.bytes > LARGE {
-            session.warn(
-                "the page is large for a browser: --max-splats N or fewer --codes make it smaller, \
-                        --serve shows it without a file",
-            );
-        }
+        tell_file(&session, out, &report, args);
         drop(stage);
         return session.finish_quietly();
     };
@@ -131,6 +122,18 @@ pub fn run(args: &Args, line: &str) -> Result<()> {
     drop(stage);
     session.check_stop()?;
     serve(&session, &server, &page)
+}
+
+/// Says what the file of a page holds.
+fn tell_file(session: &Session<'_>, out: &Path, report: &PageReport, args: &Args) {
+    session.receipt.add_rows_out(report.gaussians);
+    print(&format!("{}: {}; opens from disk", out.display(), summary(report, args)));
+    if report.bytes > LARGE {
+        session.warn(
+            "the page is large for a browser: --max-splats N or fewer --codes make it smaller, \
+                    --serve shows it without a file",
+        );
+    }
 }
 
 /// What the page holds, in a line.

@@ -56,67 +56,82 @@ impl Session<'_> {
         };
         self.receipt.setting("up", up.axis, why);
         for remark in &alignment.remarks {
-            let text = match *remark {
-                Remark::Turned { from } => {
-                    let why =
-                        "the network read a copy turned from this up to +z; files keep theirs";
-                    self.receipt.setting("turned", from, why);
-                    format!(
-                        "up is {from}{}: the network reads a copy turned to +z; files keep their \
-                         frame (--up AXIS if it is another, --as-is to leave it)",
-                        if up.given { "" } else { ", by the shape of the scene" }
-                    )
-                }
-                Remark::Scaled { by } => {
-                    let why = "metres per unit; the network read a copy in metres";
-                    self.receipt.setting("unit", by, why);
-                    format!(
-                        "one unit is {by} m: the network reads a copy in metres; files keep their \
-                         unit (--unit UNIT if it is another, --as-is to leave it)"
-                    )
-                }
-                Remark::Leveled { tilt } => {
-                    let why = "degrees that the floor was off; the network read a level copy";
-                    self.receipt.setting("leveled", format!("{tilt:.1}"), why);
-                    format!(
-                        "the floor is {tilt:.1} degrees out of level: the network reads a level \
-                         copy; files keep their frame (--as-is to leave it)"
-                    )
-                }
-                Remark::Squared { yaw } => {
-                    let why =
-                        "degrees that walls were off the axes; the network read a turned copy";
-                    self.receipt.setting("squared", format!("{yaw:.1}"), why);
-                    format!(
-                        "walls are turned by {yaw:.1} degrees: the network reads a copy with its \
-                         walls along the axes; files keep their frame (--as-is to leave it)"
-                    )
-                }
-                Remark::ScaledToRoom { by, height } => {
-                    let why = "metres per unit, by the height of the walls; the network read a \
-                               copy in metres";
-                    self.receipt.setting("unit", format!("{by:.4}"), why);
-                    format!(
-                        "the walls are {height:.2} units high, and no room is: the network reads a \
-                         copy with {by:.3} m per unit; files keep their unit (--unit m if these \
-                         are metres)"
-                    )
-                }
-                Remark::UpUnclear { likely, confidence } => format!(
-                    "WHICH WAY IS UP IS UNCLEAR ({likely} is likeliest, confidence {confidence:.2}): \
-                     the network takes +z for up, and most labels are lost if it is not; say it with \
-                     --up AXIS"
-                ),
-                Remark::UnitUnclear { likely, confidence } => format!(
-                    "THE UNIT IS UNCLEAR ({} is likeliest, confidence {confidence:.2}): the network \
-                     takes it for metres, and labels mean little if it is not; say it with --unit \
-                     {} or --unit m",
-                    likely.symbol(),
-                    likely.symbol()
-                ),
-            };
+            if let Some((name, value, why)) = setting(remark) {
+                self.receipt.setting(name, value, why);
+            }
+            let text = text(remark, up.given);
             // Each scene of several has its own.
             if remark.is_warning() { self.warn_loudly(text) } else { self.warn(text) }
+        }
+    }
+}
+
+/// What the receipt says of a copy that the network read: name, value and meaning.
+fn setting(remark: &Remark) -> Option<(&'static str, String, &'static str)> {
+    let (name, value, why) = match *remark {
+        Remark::Turned { from } => (
+            "turned",
+            from.to_string(),
+            "the network read a copy turned from this up to +z; files keep theirs",
+        ),
+        Remark::Scaled { by } => {
+            ("unit", by.to_string(), "metres per unit; the network read a copy in metres")
+        }
+        Remark::Leveled { tilt } => (
+            "leveled",
+            format!("{tilt:.1}"),
+            "degrees that the floor was off; the network read a level copy",
+        ),
+        Remark::Squared { yaw } => (
+            "squared",
+            format!("{yaw:.1}"),
+            "degrees that walls were off the axes; the network read a turned copy",
+        ),
+        Remark::ScaledToRoom { by, .. } => (
+            "unit",
+            format!("{by:.4}"),
+            "metres per unit, by the height of the walls; the network read a copy in metres",
+        ),
+        Remark::UpUnclear { .. } | Remark::UnitUnclear { .. } => return None,
+    };
+    Some((name, value, why))
+}
+
+/// What the user reads; `given`: the flags say which way is up.
+fn text(remark: &Remark, given: bool) -> String {
+    match *remark {
+        Remark::Turned { from } => format!(
+            "up is {from}{}: the network reads a copy turned to +z; files keep their frame \
+             (--up AXIS if it is another, --as-is to leave it)",
+            if given { "" } else { ", by the shape of the scene" }
+        ),
+        Remark::Scaled { by } => format!(
+            "one unit is {by} m: the network reads a copy in metres; files keep their unit \
+             (--unit UNIT if it is another, --as-is to leave it)"
+        ),
+        Remark::Leveled { tilt } => format!(
+            "the floor is {tilt:.1} degrees out of level: the network reads a level copy; files \
+             keep their frame (--as-is to leave it)"
+        ),
+        Remark::Squared { yaw } => format!(
+            "walls are turned by {yaw:.1} degrees: the network reads a copy with its walls along \
+             the axes; files keep their frame (--as-is to leave it)"
+        ),
+        Remark::ScaledToRoom { by, height } => format!(
+            "the walls are {height:.2} units high, and no room is: the network reads a copy with \
+             {by:.3} m per unit; files keep their unit (--unit m if these are metres)"
+        ),
+        Remark::UpUnclear { likely, confidence } => format!(
+            "WHICH WAY IS UP IS UNCLEAR ({likely} is likeliest, confidence {confidence:.2}): the \
+             network takes +z for up, and most labels are lost if it is not; say it with --up AXIS"
+        ),
+        Remark::UnitUnclear { likely, confidence } => {
+            let unit = likely.symbol();
+            format!(
+                "THE UNIT IS UNCLEAR ({unit} is likeliest, confidence {confidence:.2}): the network \
+                 takes it for metres, and labels mean little if it is not; say it with --unit \
+                 {unit} or --unit m"
+            )
         }
     }
 }

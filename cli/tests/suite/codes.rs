@@ -94,6 +94,19 @@ fn names(folder: &Path) -> Vec<String> {
     names
 }
 
+/// Of the rows that are not 0 in the first.
+fn mean_cosine(before: &[f32], after: &[f32]) -> f64 {
+    let (mut sum, mut count) = (0.0, 0);
+    for (a, b) in before.chunks_exact(WIDTH).zip(after.chunks_exact(WIDTH)) {
+        let dot = |a: &[f32], b: &[f32]| a.iter().zip(b).map(|(a, b)| a * b).sum::<f32>();
+        if dot(a, a) > 0.0 {
+            sum += f64::from(dot(a, b) / (dot(a, a) * dot(b, b)).sqrt());
+            count += 1;
+        }
+    }
+    sum / f64::from(count)
+}
+
 #[test]
 fn codes_are_learned_like_features_and_lead_back() {
     let world = World::new();
@@ -145,15 +158,7 @@ fn codes_are_learned_like_features_and_lead_back() {
     let (_, before) = features(&scenes[1]);
     let (shape, after) = features(&folder.path("back/room2"));
     assert_eq!(shape, [900, WIDTH]);
-    let (mut sum, mut count) = (0.0, 0);
-    for (a, b) in before.chunks_exact(WIDTH).zip(after.chunks_exact(WIDTH)) {
-        let dot = |a: &[f32], b: &[f32]| a.iter().zip(b).map(|(a, b)| a * b).sum::<f32>();
-        if dot(a, a) > 0.0 {
-            sum += f64::from(dot(a, b) / (dot(a, a) * dot(b, b)).sqrt());
-            count += 1;
-        }
-    }
-    let mean = sum / f64::from(count);
+    let mean = mean_cosine(&before, &after);
     let reported = said.lines().find(|line| line.starts_with("room2: ")).unwrap();
     assert!(reported.contains(&format!("mean {mean:.3}")[..9]), "{reported}: {mean}");
     assert!(mean > 0.5, "{mean}: what is learned in 80 steps leads back");

@@ -68,6 +68,13 @@ fn effects_are_compensated_for_when_asked_and_a_receipt_says_how_to_do_it_again(
     let plan = folder.write("plan.json", found["effect_plan"].to_string());
     assert!(run("third", &format!("--effect-plan {plan} --threads 1")).0 == on);
 
+    queries_follow_a_plan(&folder, &scene, &stored, &labels_of("on"));
+    features_withhold_nothing(&folder, &scene, &stored);
+    assert_eq!(npy(folder.path("features/features.npy")).shape()[0], count);
+}
+
+/// What a plan withholds is found by no query; `labels` are those of the plan.
+fn queries_follow_a_plan(folder: &Folder, scene: &str, stored: &str, labels: &[f32]) {
     let query = |out: &str, more: &str| {
         done(&run!("query {scene} floor --as-is --out {} {more}", folder.at(out)));
         floats(folder.path(out).join("selection.npy"))
@@ -75,14 +82,16 @@ fn effects_are_compensated_for_when_asked_and_a_receipt_says_how_to_do_it_again(
     // What is read without floaters in both, so that rims alone make the difference.
     let all = query("q", "--effect floaters=on");
     let fewer = query("q-on", &format!("--effect-plan {stored}"));
-    for (row, ((all, fewer), label)) in all.iter().zip(&fewer).zip(labels_of("on")).enumerate() {
-        let due = if label < 0.0 { 0.0 } else { *all };
+    for (row, ((all, fewer), label)) in all.iter().zip(&fewer).zip(labels).enumerate() {
+        let due = if *label < 0.0 { 0.0 } else { *all };
         assert_eq!(*fewer, due, "row {row}");
     }
     let [all, fewer] = [all, fewer].map(|rows| rows.iter().sum::<f32>());
     assert!(fewer < all && fewer > 0.0, "{fewer} {all}");
+}
 
-    // features cannot withhold anything: neither by a flag nor by a plan.
+/// Neither by a flag nor by a plan.
+fn features_withhold_nothing(folder: &Folder, scene: &str, stored: &str) {
     let features = |more: &str| run!("features {scene} --out {} {more}", folder.at("features"));
     let cases = [
         ("--effect holes=on", 2, "acted on here: floaters"),
@@ -91,7 +100,6 @@ fn effects_are_compensated_for_when_asked_and_a_receipt_says_how_to_do_it_again(
     ];
     all_refused(cases, features);
     done(&features("--effect floaters=on"));
-    assert_eq!(npy(folder.path("features/features.npy")).shape()[0], count);
 }
 
 #[test]

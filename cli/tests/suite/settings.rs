@@ -229,15 +229,18 @@ fn estimates_follow_the_setting() {
     }
 }
 
+/// The command ends with these words and writes nothing.
+fn is_refused(case: &Case, words: &str, parts: &[&str]) {
+    refused(&run!("{words} --out {}", case.out("")), 2, parts);
+    assert!(!case.folder.path("out/features.npy").exists());
+    assert!(!case.folder.path("out/labels.npy").exists());
+}
+
 #[test]
 fn what_cannot_be_used_is_refused_by_name() {
     let case = Case::new(300);
     let scene = &case.scene;
-    let refused = |words: &str, parts: &[&str]| {
-        refused(&run!("{words} --out {}", case.out("")), 2, parts);
-        assert!(!case.folder.path("out/features.npy").exists());
-        assert!(!case.folder.path("out/labels.npy").exists());
-    };
+    let refused = |words: &str, parts: &[&str]| is_refused(&case, words, parts);
     for (part, said) in [
         ("''", &["no part is named"][..]),
         ("speed=9", &["\"speed\" is unknown", "voxel, net, precision"]),
@@ -272,7 +275,17 @@ fn what_cannot_be_used_is_refused_by_name() {
         let words = format!("--config {config} --weights seeded:0 --setting {part}");
         refused(&format!("features {scene} {words}"), &[part, said]);
     }
-    // What a flag says otherwise.
+    // About a network, where none is run.
+    let oracle = "evaluate synthetic:1:1 --features oracle --setting voxel=0.1";
+    refused(oracle, &["--setting voxel"]);
+    let made = format!("segment {scene} --features {scene} --setting voxel=0.1");
+    refused(&made, &["--setting", "--features"]);
+}
+
+#[test]
+fn what_a_flag_says_otherwise_is_refused() {
+    let case = Case::new(300);
+    let scene = &case.scene;
     for (flags, part) in [
         ("--grid-size 0.1", "voxel=0.2"),
         ("--precision f32", "precision=bf16"),
@@ -286,11 +299,6 @@ fn what_cannot_be_used_is_refused_by_name() {
     ] {
         let flag = flags.split(' ').next().unwrap();
         let words = format!("segment {scene} --setting {part} {flags}");
-        refused(&words, &[flag, part, "contradicts"]);
+        is_refused(&case, &words, &[flag, part, "contradicts"]);
     }
-    // About a network, where none is run.
-    let oracle = "evaluate synthetic:1:1 --features oracle --setting voxel=0.1";
-    refused(oracle, &["--setting voxel"]);
-    let made = format!("segment {scene} --features {scene} --setting voxel=0.1");
-    refused(&made, &["--setting", "--features"]);
 }

@@ -72,17 +72,8 @@ fn scaled(camera: &Camera, [width, height]: [u32; 2]) -> Option<Camera> {
     if width == 0 || height == 0 {
         return None;
     }
-    let (x, y) =
-        (f64::from(width) / f64::from(camera.width), f64::from(height) / f64::from(camera.height));
-    is_scaled([camera.width, camera.height], [width, height]).then(|| Camera {
-        width,
-        height,
-        fx: camera.fx * x,
-        fy: camera.fy * y,
-        cx: camera.cx * x,
-        cy: camera.cy * y,
-        ..camera.clone()
-    })
+    is_scaled([camera.width, camera.height], [width, height])
+        .then(|| camera.resized([width, height]))
 }
 
 /// The picture turned and mirrored as an Exif mark says.

@@ -142,15 +142,7 @@ impl Launcher for Emulator {
                     let bytes = b.bytes;
                     arrays.push(array(b.values_mut().as_mut_ptr(), bytes));
                 }
-                Arg::Scalar(value) => {
-                    *scalar = match *value {
-                        Scalar::U32(v) => u64::from(v),
-                        Scalar::I32(v) => u64::from(v.cast_unsigned()),
-                        Scalar::U64(v) => v,
-                        Scalar::F32(v) => u64::from(v.to_bits()),
-                        Scalar::F64(v) => v.to_bits(),
-                    }
-                }
+                Arg::Scalar(value) => *scalar = word(*value),
             }
         }
         let mut next = arrays.iter();
@@ -189,6 +181,17 @@ impl Launcher for Emulator {
             }
             None => Ok(()),
         }
+    }
+}
+
+/// The bytes of a scalar, which the kernel reads from the first on.
+fn word(value: Scalar) -> u64 {
+    match value {
+        Scalar::U32(v) => u64::from(v),
+        Scalar::I32(v) => u64::from(v.cast_unsigned()),
+        Scalar::U64(v) => v,
+        Scalar::F32(v) => u64::from(v.to_bits()),
+        Scalar::F64(v) => v.to_bits(),
     }
 }
 

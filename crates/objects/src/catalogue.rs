@@ -85,14 +85,7 @@ pub fn find_objects(input: &ObjectInput<'_>, settings: &ObjectSettings) -> Resul
     settings.check()?;
     input.check()?;
     let coord = input.upright();
-    let mut by_class: Vec<Vec<u32>> = vec![Vec::new(); input.names.len()];
-    for (row, (&label, c)) in (0u32..).zip(input.labels.iter().zip(&coord)) {
-        if let Some(rows) = usize::try_from(label).ok().and_then(|l| by_class.get_mut(l))
-            && c.iter().all(|v| v.is_finite())
-        {
-            rows.push(row);
-        }
-    }
+    let by_class = rows_by_class(input, &coord);
     let of_kind = |kind: &str| -> Vec<u32> {
         let own = input.names.iter().zip(&by_class).filter(|(name, _)| is_kind(name, kind));
         own.flat_map(|(_, rows)| rows.iter().copied()).collect()
@@ -121,16 +114,7 @@ pub fn find_objects(input: &ObjectInput<'_>, settings: &ObjectSettings) -> Resul
         describe(input, &coord, *label, rows, &floor, walls)
     };
     let mut objects: Vec<Object> = kept.par_iter().filter_map(describe).collect();
-    // Numbers by place: the same scene with its rows in another order has the same ones.
-    objects.sort_by(|a, b| {
-        let place = |o: &Object| o.bounds.center;
-        let by_place = (0..3).map(|i| place(a)[i].total_cmp(&place(b)[i]));
-        let by_place = by_place.fold(std::cmp::Ordering::Equal, std::cmp::Ordering::then);
-        a.label.cmp(&b.label).then(by_place).then(a.rows.cmp(&b.rows))
-    });
-    for (id, object) in (1..).zip(&mut objects) {
-        object.id = id;
-    }
+    number(&mut objects);
     let is_labelled = |row: &&u32| input.labels[**row as usize] >= 0;
     let in_objects: usize = objects.iter().map(|o| o.rows.iter().filter(is_labelled).count()).sum();
     Ok(Catalogue {
@@ -141,6 +125,32 @@ pub fn find_objects(input: &ObjectInput<'_>, settings: &ObjectSettings) -> Resul
         nameless_instances,
         gaussians: input.scene.len(),
     })
+}
+
+/// The labelled Gaussians of each class that have a place.
+fn rows_by_class(input: &ObjectInput<'_>, coord: &[[f32; 3]]) -> Vec<Vec<u32>> {
+    let mut by_class: Vec<Vec<u32>> = vec![Vec::new(); input.names.len()];
+    for (row, (&label, c)) in (0u32..).zip(input.labels.iter().zip(coord)) {
+        if let Some(rows) = usize::try_from(label).ok().and_then(|l| by_class.get_mut(l))
+            && c.iter().all(|v| v.is_finite())
+        {
+            rows.push(row);
+        }
+    }
+    by_class
+}
+
+/// Numbers by class and place: the same scene with its rows in another order has the same ones.
+fn number(objects: &mut [Object]) {
+    objects.sort_by(|a, b| {
+        let place = |o: &Object| o.bounds.center;
+        let by_place = (0..3).map(|i| place(a)[i].total_cmp(&place(b)[i]));
+        let by_place = by_place.fold(std::cmp::Ordering::Equal, std::cmp::Ordering::then);
+        a.label.cmp(&b.label).then(by_place).then(a.rows.cmp(&b.rows))
+    });
+    for (id, object) in (1..).zip(objects) {
+        object.id = id;
+    }
 }
 
 /// An object without a number; distances are from `walls`.

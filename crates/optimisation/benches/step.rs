@@ -207,6 +207,56 @@ fn bench_backward(
     });
 }
 
+/// The losses of a picture and of a depth map, with their slopes.
+fn bench_losses(
+    group: &mut BenchmarkGroup<'_, WallTime>,
+    pool: &ThreadPool,
+    (rgb, truth): (&[f32], &[f32]),
+    (drawn, measured): (&[f32], &[f32]),
+) {
+    let threads = pool.current_num_threads();
+    for padding in [SsimPadding::Reflect, SsimPadding::Valid] {
+        let weights = scenesplat_optimisation::ImageWeights { ssim: 0.2, padding };
+        let mut both = ImageComparison::new(640, 480, weights).expect("a size");
+        let mut slope = vec![0.0; rgb.len()];
+        group.bench_function(format!("l1_ssim_{padding}/{threads}_threads"), |b| {
+            b.iter(|| pool.install(|| both.compare(rgb, truth, None, &mut slope)));
+        });
+    }
+    let (mut scratch, mut slope) = (DepthScratch::default(), vec![0.0; drawn.len()]);
+    group.bench_function(format!("depth_l1/{threads}_threads"), |b| {
+        let rule = DepthOutliers::MedianRule;
+        b.iter(|| depth_loss(drawn, measured, None, rule, 1.0, &mut scratch, &mut slope));
+    });
+}
+
+/// The update of the values alone, and a whole step.
+fn bench_steps(
+    group: &mut BenchmarkGroup<'_, WallTime>,
+    pool: &ThreadPool,
+    model: &Model,
+    frame: &TrainingFrame,
+    settings: OptimiseSettings,
+) {
+    let threads = pool.current_num_threads();
+    let (mut other, mut gradients) = (model.clone(), Gradients::zeros(model.gaussians(), 0));
+    let mut adam = Adam::new(&other, AdamSettings::default());
+    let rates = settings.rates_at(0, 1.0);
+    group.bench_function(format!("adam_59/{threads}_threads"), |b| {
+        b.iter(|| {
+            let regularisers = Regularisers { opacity: 0.01, scale: 0.01 };
+            pool.install(|| {
+                adam.step(&mut other, &mut gradients, &rates, regularisers, 3);
+            });
+        });
+    });
+    let frames = [frame.clone()];
+    let mut optimiser = Optimiser::new(model.clone(), &frames, settings).expect("a wall");
+    group.bench_function(format!("step/{threads}_threads"), |b| {
+        b.iter(|| pool.install(|| optimiser.step(&frames)));
+    });
+}
+
 fn parts(c: &mut Criterion) {
     let (model, frame) = (model(), frame());
     let settings = OptimiseSettings { sh_every: 0, ..OptimiseSettings::scenesplat() };
@@ -242,19 +292,7 @@ fn parts(c: &mut Criterion) {
                 pool.install(|| workspace.trace(g, view, &raster, request, out))
             });
         });
-        for padding in [SsimPadding::Reflect, SsimPadding::Valid] {
-            let weights = scenesplat_optimisation::ImageWeights { ssim: 0.2, padding };
-            let mut both = ImageComparison::new(640, 480, weights).expect("a size");
-            let mut slope = vec![0.0; rgb.len()];
-            group.bench_function(name(&format!("l1_ssim_{padding}")), |b| {
-                b.iter(|| pool.install(|| both.compare(&rgb, &truth, None, &mut slope)));
-            });
-        }
-        let (mut scratch, mut slope) = (DepthScratch::default(), vec![0.0; drawn.len()]);
-        group.bench_function(name("depth_l1"), |b| {
-            let rule = DepthOutliers::MedianRule;
-            b.iter(|| depth_loss(&drawn, &measured, None, rule, 1.0, &mut scratch, &mut slope));
-        });
+        bench_losses(&mut group, &pool, (&rgb, &truth), (&drawn, &measured));
         bench_backward(
             &mut group,
             &pool,
@@ -262,22 +300,7 @@ fn parts(c: &mut Criterion) {
             (&traced, &rgb, &drawn),
             &mut workspace,
         );
-        let (mut other, mut gradients) = (model.clone(), Gradients::zeros(g, 0));
-        let mut adam = Adam::new(&other, AdamSettings::default());
-        let rates = settings.rates_at(0, 1.0);
-        group.bench_function(name("adam_59"), |b| {
-            b.iter(|| {
-                let regularisers = Regularisers { opacity: 0.01, scale: 0.01 };
-                pool.install(|| {
-                    adam.step(&mut other, &mut gradients, &rates, regularisers, 3);
-                });
-            });
-        });
-        let frames = [frame.clone()];
-        let mut optimiser = Optimiser::new(model.clone(), &frames, settings).expect("a wall");
-        group.bench_function(name("step"), |b| {
-            b.iter(|| pool.install(|| optimiser.step(&frames)));
-        });
+        bench_steps(&mut group, &pool, &model, &frame, settings);
     }
     group.finish();
 }

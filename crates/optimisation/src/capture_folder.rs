@@ -182,15 +182,7 @@ fn scaled(
         );
         return Err(bad(path, problem, "give the pictures that the cameras were computed with"));
     }
-    Ok(Camera {
-        width,
-        height,
-        fx: camera.fx * x,
-        fy: camera.fy * y,
-        cx: camera.cx * x,
-        cy: camera.cy * y,
-        ..camera.clone()
-    })
+    Ok(camera.resized([width, height]))
 }
 
 /// What is less than half opaque does not count.

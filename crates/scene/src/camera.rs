@@ -161,6 +161,21 @@ impl Camera {
         x >= 0.0 && y >= 0.0 && x < f64::from(self.width) && y < f64::from(self.height)
     }
 
+    /// The same camera with a picture of another size, in pixels.
+    pub fn resized(&self, [width, height]: [u32; 2]) -> Self {
+        let x = f64::from(width) / f64::from(self.width);
+        let y = f64::from(height) / f64::from(self.height);
+        Self {
+            width,
+            height,
+            fx: self.fx * x,
+            fy: self.fy * y,
+            cx: self.cx * x,
+            cy: self.cy * y,
+            ..self.clone()
+        }
+    }
+
     /// The matrix that takes points in the camera's axes to the world, row by row.
     pub fn camera_to_world(&self) -> [[f64; 4]; 4] {
         let (r, c) = (&self.rotation, self.centre());

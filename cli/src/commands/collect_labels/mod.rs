@@ -12,7 +12,6 @@ use crate::session::Session;
 use anyhow::Result;
 pub use args::Args;
 use args::{FRAMES, SegmentsArg};
-use clap::ValueEnum;
 use scenesplat::rasterizer::Gaussians;
 use scenesplat::rasterizer::segments::{SegmentFolder, SegmentOptions};
 use sources::Sources;
@@ -68,12 +67,7 @@ impl Args {
     /// Notes in the receipt what changes the result.
     fn record(&self, session: &Session<'_>, sources: &Sources) {
         let receipt = &session.receipt;
-        let rule = self
-            .lifting
-            .rule
-            .to_possible_value()
-            .map_or(String::new(), |v| v.get_name().to_owned());
-        receipt.setting("rule", rule, "which pixels label a Gaussian");
+        self.lifting.rule.record(receipt);
         receipt.setting("segmenter", sources.segmenter.name(), "what cuts pictures into segments");
         receipt.setting("encoder", sources.encoder.name(), "what describes segments");
         if self.compat.is_some() {

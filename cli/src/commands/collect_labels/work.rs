@@ -41,7 +41,7 @@ impl Work<'_> {
             let (record, camera) = match cache.find(&frame.name, &key) {
                 Some(record) => {
                     found += 1;
-                    let camera = at_size(&frame.camera, record.size);
+                    let camera = frame.camera.resized(record.size);
                     (record, camera)
                 }
                 None => {
@@ -181,23 +181,5 @@ impl Work<'_> {
         }
         anyhow::ensure!(segments > 0, "no picture has a segment");
         Ok(())
-    }
-}
-
-/// A camera at the size of its picture.
-fn at_size(camera: &Camera, [width, height]: [u32; 2]) -> Camera {
-    let x = f64::from(width) / f64::from(camera.width);
-    let y = f64::from(height) / f64::from(camera.height);
-    if [width, height] == [camera.width, camera.height] {
-        return camera.clone();
-    }
-    Camera {
-        width,
-        height,
-        fx: camera.fx * x,
-        fy: camera.fy * y,
-        cx: camera.cx * x,
-        cy: camera.cy * y,
-        ..camera.clone()
     }
 }

@@ -28,15 +28,7 @@ impl Args {
         let lpips = self.lpips_weights.as_ref().map(|path| Lpips::load(path));
         let lpips = lpips.transpose().context("LPIPS: the weights cannot be used")?;
         let (mut scores, mut distances) = (Vec::new(), Vec::new());
-        let kept: Vec<&TrainingFrame> = judged
-            .frames
-            .iter()
-            .zip(&judged.report.frames)
-            .filter(|(_, judged)| judged.kept)
-            .map(|(frame, _)| frame)
-            .collect();
-        let stride = kept.len().div_ceil(self.scored as usize).max(1);
-        let scored: Vec<&TrainingFrame> = kept.into_iter().step_by(stride).collect();
+        let scored = self.scored_frames(judged);
         for (i, frame) in scored.iter().enumerate() {
             session.check_stop()?;
             session.progress.advance("score", i as f64 / scored.len() as f64);
@@ -79,6 +71,15 @@ impl Args {
         let text = serde_json::to_string_pretty(&quality)? + "\n";
         session.write_text("scene_quality.json", &text)?;
         Ok(())
+    }
+
+    /// Of the frames that were kept, evenly, as many as are scored at most.
+    fn scored_frames<'a>(&self, judged: &'a Judged) -> Vec<&'a TrainingFrame> {
+        let frames = judged.frames.iter().zip(&judged.report.frames);
+        let kept: Vec<_> =
+            frames.filter(|(_, judged)| judged.kept).map(|(frame, _)| frame).collect();
+        let stride = kept.len().div_ceil(self.scored as usize).max(1);
+        kept.into_iter().step_by(stride).collect()
     }
 
     fn title(&self) -> String {

@@ -66,17 +66,7 @@ pub fn run(args: &Args) -> Result<()> {
     let scratch = Scratch::new()?;
     let kept = args.case.as_ref().map(|name| args.out.join(name));
     // Other runs stay out of the folder while it is written to.
-    let _lock = match &kept {
-        Some(folder) => {
-            if folder.exists() {
-                let text = format!("--out: {} is there already", folder.display());
-                return Err(WrongUse(text + "; give another --out, or remove it").into());
-            }
-            std::fs::create_dir_all(&args.out).with_context(|| args.out.display().to_string())?;
-            Some(FolderLock::acquire(&args.out)?)
-        }
-        None => None,
-    };
+    let _lock = kept.as_deref().map(|folder| lock(&args.out, folder)).transpose()?;
     let doctor = match &kept {
         Some(_) => Doctor::new(&args.out)?.keeping(),
         None => Doctor::new(scratch.path())?,
@@ -99,6 +89,16 @@ pub fn run(args: &Args) -> Result<()> {
         bail!("{} of {} cases failed", report.failed, report.cases);
     }
     Ok(())
+}
+
+/// Makes `out` and locks it for `folder` in it, which must not be there.
+fn lock(out: &Path, folder: &Path) -> Result<FolderLock> {
+    if folder.exists() {
+        let text = format!("--out: {} is there already", folder.display());
+        return Err(WrongUse(text + "; give another --out, or remove it").into());
+    }
+    std::fs::create_dir_all(out).with_context(|| out.display().to_string())?;
+    Ok(FolderLock::acquire(out)?)
 }
 
 fn run_cases(doctor: &Doctor, cases: &[Case], progress: &Progress) -> Result<Vec<Verdict>> {

@@ -2,6 +2,7 @@
 
 use crate::commands::many::OneOrMany;
 use crate::flags::{PreviewArgs, Shared, SourceArgs, parse_level, parse_up};
+use crate::receipt::Receipt;
 use clap::ValueEnum;
 use clap::builder::TypedValueParser;
 use scenesplat::datasets::effects::plan::EffectChoices;
@@ -117,6 +118,14 @@ pub enum RuleArg {
     AlphaWeighted,
     /// The one at its centre, as Occam's LGS, with the constants of gsplat 1.4.
     CentrePixel,
+}
+
+impl RuleArg {
+    /// Notes the rule in the receipt.
+    pub fn record(self, receipt: &Receipt) {
+        let name = self.to_possible_value().map_or(String::new(), |v| v.get_name().to_owned());
+        receipt.setting("rule", name, "which pixels label a Gaussian");
+    }
 }
 
 /// What photos are worth.

@@ -14,7 +14,6 @@ use crate::error::{WrongUse, refuse};
 use crate::session::Session;
 use anyhow::Result;
 pub use args::{Args, FrameWeightsArg, LiftArgs, RobustRuleArg};
-use clap::ValueEnum;
 use pictures::Pictures;
 use plan::Guard;
 use scenesplat::datasets::effects::plan::EffectPlan;
@@ -116,12 +115,7 @@ impl Args {
     /// Notes in the receipt what changes the result.
     fn record(&self, session: &Session<'_>) -> Result<()> {
         let receipt = &session.receipt;
-        let rule = self
-            .lifting
-            .rule
-            .to_possible_value()
-            .map_or(String::new(), |v| v.get_name().to_owned());
-        receipt.setting("rule", rule, "which pixels label a Gaussian");
+        self.lifting.rule.record(receipt);
         receipt.setting("segments", self.segments.display(), "maps and features");
         if self.erode > 0 {
             receipt.setting("erode", self.erode, "pixels along borders that label nothing");

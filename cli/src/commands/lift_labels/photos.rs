@@ -6,7 +6,8 @@ use super::plan::LIFTING;
 use crate::session::Session;
 use anyhow::{Context, Result};
 use scenesplat::rasterizer::{
-    DepthRequest, Gaussians, PlanRequest, RasterSettings, RenderPlan, RenderRequest, SceneProfile,
+    DepthRequest, Gaussians, PlanRequest, Prepared, RasterSettings, RenderPlan, RenderRequest,
+    SceneProfile,
 };
 use scenesplat::scene::Camera;
 use scenesplat::scene::picture::read_picture;
@@ -19,6 +20,16 @@ const ENDINGS: [&str; 6] = ["png", "jpg", "jpeg", "PNG", "JPG", "JPEG"];
 
 fn photo_of(folder: &Path, frame: &str) -> Option<PathBuf> {
     ENDINGS.iter().map(|e| folder.join(format!("{frame}.{e}"))).find(|path| path.is_file())
+}
+
+/// The Gaussians for renderings with depth.
+fn prepare(session: &Session<'_>, gaussians: &Gaussians) -> Result<Prepared> {
+    let profile = SceneProfile::scan(gaussians)?;
+    let depth = DepthRequest { expected: true, ..DepthRequest::default() };
+    let request = PlanRequest::new(RenderRequest { depth, ..RenderRequest::rgb() });
+    let plan = RenderPlan::auto(&profile, RasterSettings::default(), request)?;
+    session.receipt.plan(gaussians.means.len(), render_section(&plan));
+    Ok(plan.prepare(gaussians.clone())?)
 }
 
 impl Args {
@@ -37,12 +48,7 @@ impl Args {
             return Ok(weights);
         };
         let _stage = session.receipt.stage("photos");
-        let profile = SceneProfile::scan(gaussians)?;
-        let depth = DepthRequest { expected: true, ..DepthRequest::default() };
-        let request = PlanRequest::new(RenderRequest { depth, ..RenderRequest::rgb() });
-        let plan = RenderPlan::auto(&profile, RasterSettings::default(), request)?;
-        session.receipt.plan(count, render_section(&plan));
-        let prepared = plan.prepare(gaussians.clone())?;
+        let prepared = prepare(session, gaussians)?;
         let mut probe = CaptureProbe::new(&prepared);
         let mut seen = Vec::new();
         for (number, camera) in cameras.iter().enumerate() {

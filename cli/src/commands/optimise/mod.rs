@@ -13,9 +13,11 @@ use crate::session::Session;
 use crate::terminal::print;
 use anyhow::Result;
 pub use args::Args;
+use frames::Frames;
 use run::checkpoints;
 use scenesplat::optimisation::{OptimiseSettings, Optimiser, newest_checkpoint};
 use scenesplat::scene::formats::inria_ply::write_inria_ply;
+use std::path::Path;
 use std::time::Instant;
 
 /// Runs the command.
@@ -32,12 +34,7 @@ pub fn run(args: &Args, line: &str) -> Result<()> {
                     (--depth-weight 1 turns it on)";
         session.progress.say(text);
     }
-    let depths = args.depth.as_deref();
-    let inputs = [Some(args.cameras.as_path()), Some(&args.images), depths];
-    session.outputs.reads_any(inputs)?;
-    session.outputs.reads_any([args.masks.as_deref(), args.points.as_deref()])?;
-    session.outputs.claim_any("--json", args.json.as_ref())?;
-    session.outputs.open_folder(&["scene.ply", "optimise.json", "progress.jsonl"])?;
+    args.claim(&session)?;
     let newest = newest_checkpoint(&checkpoints(&args.shared.out))?;
     if newest.is_some() && !args.resume {
         refuse!(
@@ -48,16 +45,7 @@ pub fn run(args: &Args, line: &str) -> Result<()> {
     let frames = args.frames(&session)?;
     settings.exposure = args.decide_exposure(&session, &frames);
     let mut optimiser = match newest {
-        Some(place) => {
-            // A budget chose its settings by the clock; they are in the checkpoint.
-            let asked = args.budget.is_none().then(|| args.bounded(&session, settings, &frames));
-            let optimiser = Optimiser::resume(&place, &frames.train, asked.transpose()?)?;
-            let step = optimiser.steps_done();
-            session
-                .progress
-                .say(format!("going on at step {step} of {}", optimiser.settings().steps));
-            optimiser
-        }
+        Some(place) => args.go_on(&session, &place, &frames, settings)?,
         None => {
             if args.resume {
                 session.progress.say("nothing to go on with: beginning anew");
@@ -89,6 +77,34 @@ pub fn run(args: &Args, line: &str) -> Result<()> {
         session.progress.say(text);
     }
     session.finish()
+}
+
+impl Args {
+    /// The run of a checkpoint.
+    fn go_on(
+        &self,
+        session: &Session<'_>,
+        place: &Path,
+        frames: &Frames,
+        settings: OptimiseSettings,
+    ) -> Result<Optimiser> {
+        // A budget chose its settings by the clock; they are in the checkpoint.
+        let asked = self.budget.is_none().then(|| self.bounded(session, settings, frames));
+        let optimiser = Optimiser::resume(place, &frames.train, asked.transpose()?)?;
+        let (step, total) = (optimiser.steps_done(), optimiser.settings().steps);
+        session.progress.say(format!("going on at step {step} of {total}"));
+        Ok(optimiser)
+    }
+
+    /// Notes the files that are read and written.
+    fn claim(&self, session: &Session<'_>) -> Result<()> {
+        let outputs = &session.outputs;
+        let inputs = [Some(self.cameras.as_path()), Some(&self.images), self.depth.as_deref()];
+        outputs.reads_any(inputs)?;
+        outputs.reads_any([self.masks.as_deref(), self.points.as_deref()])?;
+        outputs.claim_any("--json", self.json.as_ref())?;
+        outputs.open_folder(&["scene.ply", "optimise.json", "progress.jsonl"])
+    }
 }
 
 /// Notes the settings.

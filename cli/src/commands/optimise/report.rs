@@ -7,7 +7,7 @@ use super::run::Ran;
 use crate::session::Session;
 use crate::terminal::print;
 use anyhow::Result;
-use scenesplat::optimisation::{MeanScore, Optimiser, TrainingFrame};
+use scenesplat::optimisation::{FrameScore, MeanScore, Optimiser, TrainingFrame};
 use scenesplat::preview::write_png;
 use scenesplat::scene::GaussianScene;
 use serde_json::json;
@@ -36,21 +36,7 @@ impl Args {
         ran: &Ran,
     ) -> Result<GaussianScene> {
         let _stage = session.receipt.stage("score");
-        let mut test = Vec::new();
-        for (i, frame) in frames.test.iter().enumerate() {
-            session.check_stop()?;
-            let (score, picture) = compared(optimiser, frame)?;
-            if i < SHOWN {
-                session
-                    .write(&format!("test/{}.png", frame.name), |path| write_png(path, &picture))?;
-            }
-            test.push(score);
-        }
-        let stride = frames.train.len().div_ceil(TRAIN_SCORED).max(1);
-        let mut train = Vec::new();
-        for frame in frames.train.iter().step_by(stride) {
-            train.push(compared(optimiser, frame)?.0);
-        }
+        let (test, train) = scores(session, optimiser, frames)?;
         let (mean, learned) = (MeanScore::of(&test), MeanScore::of(&train));
         let per_step = ran.seconds / ran.steps.max(1) as f64;
         let model = optimiser.model();
@@ -84,26 +70,52 @@ impl Args {
         if let Some(path) = &self.json {
             session.write_file(path, &text)?;
         }
-        let number = |value: Option<f64>, unit: &str| {
-            value.map_or_else(|| "-".to_owned(), |v| format!("{v:.3}{unit}"))
-        };
-        print(&format!(
-            "test: {} PSNR, {} SSIM, {} depth L1 over {} frames; training: {} PSNR",
-            number(mean.psnr, " dB"),
-            number(mean.ssim, ""),
-            number(mean.depth_l1, ""),
-            mean.frames,
-            number(learned.psnr, " dB"),
-        ));
-        if let Some(db) = mean.psnr_corrected.or(learned.psnr_corrected) {
-            print(&format!("{db:.3} dB with the exposure of each picture fitted"));
-        }
+        tell(&mean, &learned);
         print(&format!(
             "{} Gaussians ({faint} too faint to be written), {} steps, {per_step:.3} s a step",
             scene.len(),
             optimiser.steps_done()
         ));
         Ok(scene)
+    }
+}
+
+/// The scores of the frames of the test and of some of training; writes pictures of the first ones of the test.
+fn scores(
+    session: &Session<'_>,
+    optimiser: &Optimiser,
+    frames: &Frames,
+) -> Result<(Vec<FrameScore>, Vec<FrameScore>)> {
+    let mut test = Vec::new();
+    for (i, frame) in frames.test.iter().enumerate() {
+        session.check_stop()?;
+        let (score, picture) = compared(optimiser, frame)?;
+        if i < SHOWN {
+            session.write(&format!("test/{}.png", frame.name), |path| write_png(path, &picture))?;
+        }
+        test.push(score);
+    }
+    let stride = frames.train.len().div_ceil(TRAIN_SCORED).max(1);
+    let train = frames.train.iter().step_by(stride);
+    let train = train.map(|frame| Ok(compared(optimiser, frame)?.0)).collect::<Result<_>>()?;
+    Ok((test, train))
+}
+
+/// Prints the mean scores of the test and of training.
+fn tell(mean: &MeanScore, learned: &MeanScore) {
+    let number = |value: Option<f64>, unit: &str| {
+        value.map_or_else(|| "-".to_owned(), |v| format!("{v:.3}{unit}"))
+    };
+    print(&format!(
+        "test: {} PSNR, {} SSIM, {} depth L1 over {} frames; training: {} PSNR",
+        number(mean.psnr, " dB"),
+        number(mean.ssim, ""),
+        number(mean.depth_l1, ""),
+        mean.frames,
+        number(learned.psnr, " dB"),
+    ));
+    if let Some(db) = mean.psnr_corrected.or(learned.psnr_corrected) {
+        print(&format!("{db:.3} dB with the exposure of each picture fitted"));
     }
 }
 

@@ -30,7 +30,19 @@ pub(super) struct CurvePoint {
     pub(super) gaussians: usize,
 }
 
+impl CurvePoint {
+    fn tell(&self, session: &Session<'_>) {
+        if let Some(psnr) = self.psnr {
+            session.progress.say(format!(
+                "step {}: test {psnr:.2} dB, {} Gaussians, {:.1} s",
+                self.step, self.gaussians, self.seconds
+            ));
+        }
+    }
+}
+
 /// What came of the loop.
+#[derive(Default)]
 pub(super) struct Ran {
     pub(super) curve: Vec<CurvePoint>,
     pub(super) lines: String,
@@ -69,14 +81,7 @@ impl Args {
         let out = &self.shared.out;
         let every = self.preview_every.unwrap_or((total / 10).max(1));
         let deadline = self.budget.map(|b| began + Duration::from_secs_f64(b.0));
-        let mut ran = Ran {
-            curve: Vec::new(),
-            lines: String::new(),
-            seconds: 0.0,
-            steps: 0,
-            stopped: None,
-            out_of_time: false,
-        };
+        let mut ran = Ran::default();
         let mut window = Window::default();
         while optimiser.steps_done() < total {
             let start = Instant::now();
@@ -90,25 +95,17 @@ impl Args {
             let done = optimiser.steps_done();
             window.add(&report);
             if done.is_multiple_of(WINDOW) || done == total {
-                let line =
-                    window.line(done, optimiser.model().len(), ran.seconds / ran.steps as f64);
+                let gaussians = optimiser.model().len();
+                let line = window.line(done, gaussians, ran.seconds / ran.steps as f64);
                 ran.lines += &(line.to_string() + "\n");
-                let text = format!(
-                    "step {done}: {:.2} dB, {} Gaussians",
-                    line["psnr"].as_f64().unwrap_or(f64::NAN),
-                    optimiser.model().len()
-                );
+                let db = line["psnr"].as_f64().unwrap_or(f64::NAN);
+                let text = format!("step {done}: {db:.2} dB, {gaussians} Gaussians");
                 session.progress.advance(&text, done as f64 / total as f64);
                 window = Window::default();
             }
             if every > 0 && (done.is_multiple_of(every) || done == total) {
                 let point = self.look(optimiser, frames, ran.seconds)?;
-                if let Some(psnr) = point.psnr {
-                    session.progress.say(format!(
-                        "step {done}: test {psnr:.2} dB, {} Gaussians, {:.1} s",
-                        point.gaussians, point.seconds
-                    ));
-                }
+                point.tell(session);
                 ran.curve.push(point);
                 let picture = compared(optimiser, frames.shown())?.1;
                 write_now(&out.join(format!("previews/step-{done:09}.png")), &picture)?;

@@ -88,10 +88,7 @@ pub fn calibrate(args: &Args) -> Result<()> {
             .collect(),
         model: CostModel::fit(&runs).with_spread(&all_runs),
     };
-    if let Some(folder) = path.parent() {
-        std::fs::create_dir_all(folder).with_context(|| folder.display().to_string())?;
-    }
-    AtomicFile::write(&path, (serde_json::to_string_pretty(&front)? + "\n").as_bytes())?;
+    store(&front, &path)?;
     print(&format!(
         "{} settings, {} runs in {}; nine of ten of the fastest are within {:.0} % of the model, a run takes {:.2} \
          times as long as those in the middle, and nineteen of twenty at most {:.0} % more",
@@ -104,6 +101,13 @@ pub fn calibrate(args: &Args) -> Result<()> {
     ));
     print(&format!("wrote {}", printable(&path)));
     Ok(())
+}
+
+fn store(front: &Calibration, path: &Path) -> Result<()> {
+    if let Some(folder) = path.parent() {
+        std::fs::create_dir_all(folder).with_context(|| folder.display().to_string())?;
+    }
+    Ok(AtomicFile::write(path, (serde_json::to_string_pretty(front)? + "\n").as_bytes())?)
 }
 
 /// What the size of a job depends on beside its scene and setting.

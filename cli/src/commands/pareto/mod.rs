@@ -81,14 +81,18 @@ pub fn run(args: &Args) -> Result<()> {
     if done.is_ok() && around.unmeasured.is_empty() {
         done = neutral::complete(&campaign, &neutral, &mut records, &args.out);
     }
-    done.map_err(|error| match error.is::<Stopped>() {
+    done.map_err(|error| what_is_kept(error, &records))?;
+    report(args, &records, around, before.as_deref())
+}
+
+fn what_is_kept(error: anyhow::Error, records: &Records) -> anyhow::Error {
+    match error.is::<Stopped>() {
         true => {
             let kept = records.all.len();
             anyhow!("stopped; {kept} records are kept: the same command goes on from there")
         }
         false => error,
-    })?;
-    report(args, &records, around, before.as_deref())
+    }
 }
 
 /// Prints and writes what was measured of the scenes that were asked for.

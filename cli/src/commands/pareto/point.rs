@@ -42,6 +42,18 @@ struct Line {
     shared: Shared,
 }
 
+impl Line {
+    fn of(request: &Request) -> Result<Self> {
+        let mut words = request.flags.clone();
+        let threads = request.threads.to_string();
+        words.extend(["--quiet", "--threads", threads.as_str()].map(str::to_owned));
+        if !request.given.is_empty() {
+            words.extend(["--setting".to_owned(), request.given.clone()]);
+        }
+        Ok(Self::try_parse_from(&words).map_err(|e| WrongUse(e.to_string()))?)
+    }
+}
+
 /// Measures what the request says, and writes the records where it says.
 pub fn run_point(args: &PointArgs) -> Result<()> {
     let text = std::fs::read_to_string(&args.request)
@@ -49,13 +61,7 @@ pub fn run_point(args: &PointArgs) -> Result<()> {
     let request: Request = serde_json::from_str(&text)
         .map_err(|e| WrongUse(format!("{e}: this is for the program itself")))?;
     end_with_parent();
-    let mut words = request.flags.clone();
-    let threads = request.threads.to_string();
-    words.extend(["--quiet", "--threads", threads.as_str()].map(str::to_owned));
-    if !request.given.is_empty() {
-        words.extend(["--setting".to_owned(), request.given.clone()]);
-    }
-    let line = Line::try_parse_from(&words).map_err(|e| WrongUse(e.to_string()))?;
+    let line = Line::of(&request)?;
     let (inference, vote_k) = line.inference.settled(None)?;
     let session = Session::start_with(&line.shared, &inference.network, "pareto")?;
     let began = Instant::now();

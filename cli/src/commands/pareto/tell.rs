@@ -19,6 +19,22 @@ pub fn tell(summary: &Summary) {
     if summary.points.is_empty() {
         return;
     }
+    tell_points(summary);
+    tell_neutral(summary);
+    for ruled_out in &summary.skipped {
+        print(&format!("not measured: {}, ruled out by {}", ruled_out.setting, ruled_out.by));
+    }
+    for setting in &summary.unmeasured {
+        print(&format!("not measured: {setting}, time was over"));
+    }
+    match summary.findings.as_slice() {
+        [] => print("bought nothing: none found; every dearer choice bought something"),
+        found => found.iter().for_each(|f| print(&format!("bought nothing: {f}"))),
+    }
+}
+
+/// Prints all points, marks the front, and says what the classes take.
+fn tell_points(summary: &Summary) {
     print(&format!(
         "{:>10} {:>10} {:>9} {:>8} {:>8} {:>8} {:>7} {:>7}  setting",
         "p50", "p95", "peak MB", "f-mIoU", "mIoU", "agrees", "hit@1", "ECE"
@@ -48,6 +64,10 @@ pub fn tell(summary: &Summary) {
         });
         print(&format!(">= {:.1} % of the reference: {text}", 100.0 * class.share));
     }
+}
+
+/// Prints whether what must not change the labels did not.
+fn tell_neutral(summary: &Summary) {
     for row in &summary.neutral {
         let said = if row.equal {
             "the same labels".to_owned()
@@ -56,16 +76,6 @@ pub fn tell(summary: &Summary) {
         };
         let verdict = if row.holds { "holds" } else { "DOES NOT HOLD" };
         print(&format!("{} on {}: {said}; {}: {verdict}", row.neutral, row.scenes, row.rule));
-    }
-    for ruled_out in &summary.skipped {
-        print(&format!("not measured: {}, ruled out by {}", ruled_out.setting, ruled_out.by));
-    }
-    for setting in &summary.unmeasured {
-        print(&format!("not measured: {setting}, time was over"));
-    }
-    match summary.findings.as_slice() {
-        [] => print("bought nothing: none found; every dearer choice bought something"),
-        found => found.iter().for_each(|f| print(&format!("bought nothing: {f}"))),
     }
 }
 

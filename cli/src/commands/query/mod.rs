@@ -11,7 +11,8 @@ use crate::session::{FeatureSource, Session};
 use anyhow::Result;
 pub use args::Args;
 use asked::query;
-use scenesplat::query::{QuerySettings, select};
+use scenesplat::outputs::OpenedScene;
+use scenesplat::query::{Query, QuerySettings, select};
 use scenesplat::scene::LabelSet;
 use scenesplat_lab::compensation::Consumer;
 use write::{describe, write};
@@ -41,31 +42,8 @@ pub fn run(args: &Args, line: &str) -> Result<()> {
             session.receipt.fingerprint(role, path)?;
         }
     }
-    let (opened, source) = session.open_with_source(
-        &args.scene,
-        &args.inference,
-        args.features.as_deref(),
-        |network| {
-            if network.is_classifier() {
-                refuse!("a segmentation network cannot be queried; use --config language");
-            }
-            check_width(network.model().out_channels(), query.width())
-        },
-    )?;
-    // A misspelt rival would go on to compete; before the network runs, which may take minutes.
-    if !args.classes.without.is_empty() {
-        args.classes.options(&LabelSet::new(query.rivals.names.clone())?)?;
-    }
+    let (opened, source) = open(args, &session, &query)?;
     let scene = &opened.loaded.scene;
-    if let (FeatureSource::Codes, Some(code)) = (&source, &scene.lang_code) {
-        if args.classes.text.is_none() && args.embedding.is_none() {
-            refuse!(
-                "the scene carries language codes of its own: give --text or --embedding for \
-                        them, or --weights embedded to use the network inside the program"
-            );
-        }
-        check_width(code.codebook.feature_width(), query.width())?;
-    }
     let consumer = Consumer { network: source.is_network(), labels: true };
     let about = session.compensation(&wish, scene, &args.inference, consumer)?;
     let features = session.features(&opened, &source, &args.inference, &about)?;
@@ -89,6 +67,35 @@ pub fn run(args: &Args, line: &str) -> Result<()> {
     describe(&args.query, &found, &scene.coord);
     write(args, &session, &opened, &source, &found)?;
     session.finish()
+}
+
+/// The scene and the source of its features, which fit the query.
+fn open(args: &Args, session: &Session<'_>, query: &Query) -> Result<(OpenedScene, FeatureSource)> {
+    let (opened, source) = session.open_with_source(
+        &args.scene,
+        &args.inference,
+        args.features.as_deref(),
+        |network| {
+            if network.is_classifier() {
+                refuse!("a segmentation network cannot be queried; use --config language");
+            }
+            check_width(network.model().out_channels(), query.width())
+        },
+    )?;
+    // A misspelt rival would go on to compete; before the network runs, which may take minutes.
+    if !args.classes.without.is_empty() {
+        args.classes.options(&LabelSet::new(query.rivals.names.clone())?)?;
+    }
+    if let (FeatureSource::Codes, Some(code)) = (&source, &opened.loaded.scene.lang_code) {
+        if args.classes.text.is_none() && args.embedding.is_none() {
+            refuse!(
+                "the scene carries language codes of its own: give --text or --embedding for \
+                        them, or --weights embedded to use the network inside the program"
+            );
+        }
+        check_width(code.codebook.feature_width(), query.width())?;
+    }
+    Ok((opened, source))
 }
 
 fn check_width(features: usize, texts: usize) -> Result<()> {

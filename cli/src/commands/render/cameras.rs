@@ -51,7 +51,7 @@ pub(super) fn read(path: &Path, args: &Args) -> Result<Shots> {
                 name = format!("{name}_{index:05}");
                 taken.insert(name.clone());
             }
-            let camera = args.size.map_or(camera.clone(), |size| resized(camera, size));
+            let camera = args.size.map_or(camera.clone(), |size| camera.resized(size));
             Shot { name, camera, index }
         })
         .collect();
@@ -104,21 +104,6 @@ pub fn picture_name(name: &str, index: usize) -> String {
     let fit = |c: char| if c.is_control() || ":*?\"<>|".contains(c) { '_' } else { c };
     let name: String = without_ending(file).chars().map(fit).collect();
     if name.chars().all(|c| c == '.') { format!("camera_{index:05}") } else { name }
-}
-
-/// The same camera with a picture of another size.
-fn resized(camera: &Camera, [width, height]: [u32; 2]) -> Camera {
-    let x = f64::from(width) / f64::from(camera.width);
-    let y = f64::from(height) / f64::from(camera.height);
-    Camera {
-        width,
-        height,
-        fx: camera.fx * x,
-        fy: camera.fy * y,
-        cx: camera.cx * x,
-        cy: camera.cy * y,
-        ..camera.clone()
-    }
 }
 
 #[cfg(test)]

@@ -57,21 +57,7 @@ pub fn run(args: &Args, line: &str) -> Result<()> {
     }
     let (scene, mut effects) = Effects::on(&session, args, scene, &shots)?;
     let prepared = prepare(&session, args, scene, &shots, effects.needs_depth())?;
-    let pictures = ScenePictures::new(&prepared);
-    let _stage = session.receipt.stage("render");
-    let (mut lost, mut empty) = (0, Vec::new());
-    for (k, shot) in shots.list.iter().enumerate() {
-        session.check_stop()?;
-        let done = k as f64 / shots.list.len() as f64;
-        session.progress.advance(&format!("render {}", shot.name), done);
-        let picture = effects.take(&pictures, shot)?;
-        lost += write(&session, args, shot, &picture)?;
-        if pictures.take_visible() == 0 {
-            empty.push(shot.name.as_str());
-        }
-    }
-    session.progress.finish();
-    drop(_stage);
+    let (lost, empty) = draw(&session, args, &prepared, &shots.list, &mut effects)?;
     if !args.keeps_cameras() {
         session.write("cameras.json", |path| cameras::write(&shots.list, path))?;
     }
@@ -90,6 +76,31 @@ pub fn run(args: &Args, line: &str) -> Result<()> {
         ));
     }
     session.finish()
+}
+
+/// Draws and writes the pictures: how many depths were lost, and which pictures are empty.
+fn draw<'a>(
+    session: &Session<'_>,
+    args: &Args,
+    prepared: &Prepared,
+    shots: &'a [Shot],
+    effects: &mut Effects,
+) -> Result<(usize, Vec<&'a str>)> {
+    let pictures = ScenePictures::new(prepared);
+    let _stage = session.receipt.stage("render");
+    let (mut lost, mut empty) = (0, Vec::new());
+    for (k, shot) in shots.iter().enumerate() {
+        session.check_stop()?;
+        let done = k as f64 / shots.len() as f64;
+        session.progress.advance(&format!("render {}", shot.name), done);
+        let picture = effects.take(&pictures, shot)?;
+        lost += write(session, args, shot, &picture)?;
+        if pictures.take_visible() == 0 {
+            empty.push(shot.name.as_str());
+        }
+    }
+    session.progress.finish();
+    Ok((lost, empty))
 }
 
 /// Activates the scene, plans, and says the plan.

@@ -7,7 +7,9 @@ use crate::progress::{interrupted, listen_for_interrupt};
 use crate::terminal::print;
 use crate::threads::set_threads;
 use anyhow::{Context, Result, anyhow};
-use scenesplat::experiment::{ExperimentConfig, ExperimentError, RunOptions, train_together};
+use scenesplat::experiment::{
+    ExperimentConfig, ExperimentError, RunOptions, RunReport, train_together,
+};
 use scenesplat::models::DeviceChoice;
 use scenesplat::trainers::checkpoint::newest_checkpoint;
 use std::path::PathBuf;
@@ -76,10 +78,10 @@ pub fn run(args: &Args) -> Result<()> {
     let ranks = ranks::start(&device.device)?;
     if ranks.size() > 1 && ranks.rank() == 0 {
         let of = if config.trainer.sync_batch_norm { "all of them" } else { "its own batch" };
+        let (size, carrier) = (ranks.size(), ranks.carrier());
         print(&format!(
-            "{} ranks share the batches of each step; a batch norm takes the statistics of {of}; gradients go by {}",
-            ranks.size(),
-            ranks.carrier()
+            "{size} ranks share the batches of each step; a batch norm takes the statistics of {of}; gradients go by \
+             {carrier}"
         ));
     }
     let done = train_together(
@@ -102,9 +104,14 @@ pub fn run(args: &Args) -> Result<()> {
         other => other.into(),
     });
     let report = ranks::all_end(&*ranks, done)?;
-    if ranks.rank() != 0 {
-        return Ok(());
+    if ranks.rank() == 0 {
+        tell(&report);
     }
+    Ok(())
+}
+
+/// Prints what came of the training.
+fn tell(report: &RunReport) {
     for remark in &report.remarks {
         print(remark);
     }
@@ -117,7 +124,6 @@ pub fn run(args: &Args) -> Result<()> {
     if at.step < at.total_steps {
         print(&format!("stopped at step {} of {}: --resume goes on", at.step, at.total_steps));
     }
-    Ok(())
 }
 
 /// Sets `stop` when the user asks to stop.

@@ -1,5 +1,6 @@
 //! The exact GELU, and rows of unit length.
 
+use super::columns::expect_gradients;
 use super::kernels;
 use crate::launch::{
     Items::{PerThread, PerWarp},
@@ -42,9 +43,7 @@ pub fn gelu_backward<L: Launcher>(
     count: u64,
     dx: &mut L::Buffer,
 ) -> Result<(), L::Error> {
-    l.expect::<f32>("input", x, count);
-    l.expect::<f32>("gradient", grad, count);
-    l.expect::<f32>("gradient of the input", dx, count);
+    expect_gradients(l, count, x, grad, dx);
     l.run(&GELU_BACKWARD, count, &[x, grad], &mut [dx], &[U64(count)])
 }
 

@@ -1,6 +1,6 @@
 //! Batch normalisation over the rows of each channel.
 
-use super::columns::PART_ROWS;
+use super::columns::{expect_gradients, parts};
 use super::kernels;
 use crate::launch::{Items::PerThread, Launcher, Scalar::U32};
 
@@ -33,15 +33,7 @@ pub fn statistics<L: Launcher>(
     channels: u32,
 ) -> Result<L::Buffer, L::Error> {
     l.expect::<f32>("input", x, u64::from(n) * u64::from(channels));
-    let parts = n.div_ceil(PART_ROWS);
-    let mut moments = l.alloc_values::<[f64; 2]>(parts as usize * channels as usize)?;
-    l.run(
-        &BATCH_MOMENTS,
-        u64::from(parts) * u64::from(channels),
-        &[x],
-        &mut [&mut moments],
-        &[U32(n), U32(channels)],
-    )?;
+    let moments = parts::<[f64; 2], L>(l, &BATCH_MOMENTS, &[x], n, channels)?;
     let mut statistics = l.alloc_values::<[f64; 2]>(channels as usize)?;
     l.run(
         &BATCH_STATISTICS,
@@ -116,21 +108,11 @@ pub fn backward<L: Launcher>(
     dx: &mut L::Buffer,
 ) -> Result<ParameterGradients<L::Buffer>, L::Error> {
     let count = u64::from(n) * u64::from(channels);
-    for (what, buffer) in [("input", x), ("gradient", grad), ("gradient of the input", dx)] {
-        l.expect::<f32>(what, buffer, count);
-    }
+    expect_gradients(l, count, x, grad, dx);
     l.expect::<f32>("weight", weight, channels.into());
     l.expect::<f64>("mean", mean, channels.into());
     l.expect::<f64>("inverse", inverse, channels.into());
-    let parts = n.div_ceil(PART_ROWS);
-    let mut sums = l.alloc_values::<[f64; 2]>(parts as usize * channels as usize)?;
-    l.run(
-        &BATCH_GRADIENT_PARTS,
-        u64::from(parts) * u64::from(channels),
-        &[x, grad, mean],
-        &mut [&mut sums],
-        &[U32(n), U32(channels)],
-    )?;
+    let sums = parts::<[f64; 2], L>(l, &BATCH_GRADIENT_PARTS, &[x, grad, mean], n, channels)?;
     let mut gradients = ParameterGradients {
         weight: l.alloc_values::<f32>(channels as usize)?,
         bias: l.alloc_values::<f32>(channels as usize)?,

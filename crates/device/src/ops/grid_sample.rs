@@ -120,6 +120,27 @@ fn cell_bounds<L: Launcher>(
     Ok((min_cell, max_index))
 }
 
+/// How cells become codes.
+struct Codes {
+    along_curve: u32,
+    y_bits: u32,
+    z_bits: u32,
+    /// Bits of a whole code.
+    bits: u32,
+}
+
+impl Codes {
+    fn of(key_order: KeyOrder, max_index: [u32; 3]) -> Self {
+        let [x_bits, y_bits, z_bits] = max_index.map(|i| u32::BITS - i.leading_zeros());
+        let bits = match key_order {
+            KeyOrder::Morton => 3 * x_bits.max(y_bits).max(z_bits),
+            KeyOrder::Fnv | KeyOrder::Ravel => x_bits + y_bits + z_bits,
+        };
+        let along_curve = u32::from(key_order == KeyOrder::Morton);
+        Self { along_curve, y_bits, z_bits, bits }
+    }
+}
+
 /// Groups rows by voxel: the cell of a coordinate is `floor(coord / grid_size)`, divided in f64, minus the
 /// smallest cell of its axis. No rows give no voxels.
 ///
@@ -141,12 +162,7 @@ pub fn voxel_groups<L: Launcher>(
     }
     l.expect::<[f32; 3]>("coordinates", coord, n.into());
     let (min_cell, max_index) = cell_bounds(l, coord, n, grid_size)?;
-    let [x_bits, y_bits, z_bits] = max_index.map(|i| u32::BITS - i.leading_zeros());
-    let along_curve = u32::from(key_order == KeyOrder::Morton);
-    let bits = match key_order {
-        KeyOrder::Morton => 3 * x_bits.max(y_bits).max(z_bits),
-        KeyOrder::Fnv | KeyOrder::Ravel => x_bits + y_bits + z_bits,
-    };
+    let Codes { along_curve, y_bits, z_bits, bits } = Codes::of(key_order, max_index);
     let rows = n as usize;
     let mut codes = l.alloc_values::<u64>(rows)?;
     l.run(

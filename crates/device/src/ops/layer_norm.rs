@@ -1,6 +1,6 @@
 //! Layer normalisation over the channels of each row.
 
-use super::columns::{PART_ROWS, add_parts};
+use super::columns::{add_parts, expect_gradients, parts};
 use super::kernels;
 use crate::launch::{
     Items::{PerThread, PerWarp},
@@ -74,9 +74,7 @@ pub fn backward<L: Launcher>(
     dx: &mut L::Buffer,
 ) -> Result<L::Buffer, L::Error> {
     let count = u64::from(n) * u64::from(channels);
-    for (what, buffer) in [("input", x), ("gradient", grad), ("gradient of the input", dx)] {
-        l.expect::<f32>(what, buffer, count);
-    }
+    expect_gradients(l, count, x, grad, dx);
     l.expect::<f32>("weight", weight, channels.into());
     let mut parameters = l.alloc_values::<f32>(2 * channels as usize)?;
     let mut statistics = l.alloc_values::<[f32; 2]>(n as usize)?;
@@ -89,15 +87,8 @@ pub fn backward<L: Launcher>(
             &[U32(n), U32(channels), F32(eps)],
         )?;
     }
-    let parts = n.div_ceil(PART_ROWS);
-    let mut sums = l.alloc_values::<[f64; 2]>(parts as usize * channels as usize)?;
-    l.run(
-        &LAYER_NORM_PARAMETERS,
-        u64::from(parts) * u64::from(channels),
-        &[x, grad, &statistics],
-        &mut [&mut sums],
-        &[U32(n), U32(channels)],
-    )?;
-    add_parts(l, &sums, parts, 2 * channels, &mut parameters)?;
+    let inputs = [x, grad, &statistics];
+    let sums = parts::<[f64; 2], L>(l, &LAYER_NORM_PARAMETERS, &inputs, n, channels)?;
+    add_parts(l, &sums, n, 2 * channels, &mut parameters)?;
     Ok(parameters)
 }

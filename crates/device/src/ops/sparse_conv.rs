@@ -47,6 +47,16 @@ pub enum Method {
     TapByTap,
 }
 
+impl Method {
+    fn is_fused(self, cout: u32) -> bool {
+        match self {
+            Self::ByWidth => cout <= FUSED_CHANNELS,
+            Self::Fused => true,
+            Self::TapByTap => false,
+        }
+    }
+}
+
 /// How weights `[cout, taps, cin]` are read.
 #[derive(Debug, Clone, Copy)]
 struct Strides {
@@ -95,21 +105,17 @@ fn convolve<L: Launcher>(
     out: &mut L::Buffer,
 ) -> Result<(), L::Error> {
     let (n, taps) = (map.rows, map.taps());
-    let columns = cout.div_ceil(TILE);
+    // A tap has as many pairs as there are rows, at most.
+    let blocks = u64::from(n.div_ceil(TILE)) * u64::from(cout.div_ceil(TILE));
     let rows = u64::from(n) * u64::from(cout);
     l.expect::<f32>("input of the convolution", x, u64::from(n) * u64::from(cin));
     l.expect::<f32>("output of the convolution", out, rows);
     let has_bias = u32::from(bias.is_some());
     let bias = bias.unwrap_or(weight);
-    let fused = match method {
-        Method::ByWidth => cout <= FUSED_CHANNELS,
-        Method::Fused => true,
-        Method::TapByTap => false,
-    };
-    if fused {
+    if method.is_fused(cout) {
         return l.run(
             &CONV_FUSED,
-            u64::from(n.div_ceil(TILE)) * u64::from(columns),
+            blocks,
             &[x, &map.neighbors, weight, bias],
             &mut [out],
             &[
@@ -128,10 +134,9 @@ fn convolve<L: Launcher>(
     l.run(&CONV_BEGIN, rows, &[bias], &mut [out], &[U32(n), U32(cout), U32(has_bias)])?;
     for tap in 0..taps {
         let weight_tap = if strides.mirrored { taps - 1 - tap } else { tap };
-        // A tap has as many pairs as there are rows, at most.
         l.run(
             &CONV_TAP,
-            u64::from(n.div_ceil(TILE)) * u64::from(columns),
+            blocks,
             &[x, &map.starts, &map.input, &map.output, weight],
             &mut [out],
             &[

@@ -354,6 +354,36 @@ fn spacing(c: &[*mut f32]) -> Option<isize> {
     even.then_some(bytes)
 }
 
+/// As [`multiply`] for rows of `c` that are scattered or too few, by way of `sums`: `c` are the rows and the first
+/// column.
+///
+/// # Safety
+/// As of the blocks; the columns of the rows of `c` are readable and writable.
+#[inline]
+#[target_feature(enable = "avx512f")]
+unsafe fn multiply_in(
+    sums: &mut Sums,
+    operands: Operands,
+    tiles: (usize, usize),
+    block: Block,
+    (rows, start): (&[*mut f32], usize),
+) {
+    let sums = sums.0.as_mut_ptr();
+    let columns = tiles.1 * TILE;
+    // SAFETY: the caller's promise; `sums` is of the block's size.
+    unsafe {
+        if block.accumulate {
+            for (i, from) in rows.iter().enumerate() {
+                copy(from.add(start), sums.add(i * columns), columns);
+            }
+        }
+        multiply(operands, tiles, &Block { c: sums, c_stride: 4 * columns as isize, ..block });
+        for (i, to) in rows.iter().enumerate() {
+            copy(sums.add(i * columns), to.add(start), columns);
+        }
+    }
+}
+
 /// `c[i][0..width] (+)= Σ_p a[i][p] · b[p]` for `rows` rows and one panel of columns, where the
 /// product of two pairs is the sum of the products of their halves.
 ///
@@ -417,18 +447,7 @@ pub(crate) unsafe fn panel(
                 } else if c_stride.is_some() {
                     multiply(operands, (tall, wide), &block);
                 } else {
-                    let sums = sums.0.as_mut_ptr();
-                    let columns = wide * TILE;
-                    if accumulate {
-                        for (i, from) in at.iter().enumerate() {
-                            copy(from.add(start), sums.add(i * columns), columns);
-                        }
-                    }
-                    let c_stride = 4 * columns as isize;
-                    multiply(operands, (tall, wide), &Block { c: sums, c_stride, ..block });
-                    for (i, to) in at.iter().enumerate() {
-                        copy(sums.add(i * columns), to.add(start), columns);
-                    }
+                    multiply_in(&mut sums, operands, (tall, wide), block, (at, start));
                 }
             }
             start += wide * TILE;

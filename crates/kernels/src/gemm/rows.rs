@@ -377,6 +377,27 @@ unsafe fn prefetch<T>(row: *const T, len: usize) {
     let _ = (row, len, LINE, LINES);
 }
 
+/// Asks for the tile that begins `rows`, where rows are found by number: those come from anywhere, where no prefetcher
+/// of the CPU expects them. They arrive while the tile before is computed. `k`: the first value, and how many.
+#[inline(always)]
+unsafe fn prefetch_tile<T>(
+    a: &RowPointers<'_, T>,
+    c: &RowPointers<'_>,
+    rows: Range<usize>,
+    k: (usize, usize),
+    n: usize,
+) {
+    if a.ids.is_some() {
+        for i in rows.take(TILE_ROWS) {
+            // SAFETY: the caller's promise: rows of the operands.
+            unsafe {
+                prefetch(a.row(i).add(k.0), k.1);
+                prefetch(c.row(i), n);
+            }
+        }
+    }
+}
+
 /// `of_columns` gives what belongs to the columns from one on, for the steps from one on.
 #[inline(always)]
 unsafe fn multiply_with<P: TileProducts>(
@@ -411,17 +432,8 @@ unsafe fn multiply_with<P: TileProducts>(
                         c_rows[i] = c.row(row + i);
                     }
                 }
-                if a.ids.is_some() {
-                    // Rows that are found by number come from anywhere, where no prefetcher of the
-                    // CPU expects them; those of the next tile arrive while this one is computed.
-                    for i in (row + height..rows).take(TILE_ROWS) {
-                        // SAFETY: rows of the operands, as promised.
-                        unsafe {
-                            prefetch(a.row(i).add(k0), k_len);
-                            prefetch(c.row(i), n);
-                        }
-                    }
-                }
+                // SAFETY: rows of the operands, as promised.
+                unsafe { prefetch_tile(&a, &c, row + height..rows, (k0, k_len), n) };
                 let mut start = group;
                 while start < group_end {
                     let width = PANEL.min(padded_n - start);

@@ -111,6 +111,37 @@ fn means(shares: &ClassShares<'_>, surfaces: &Surfaces, labels: &[i32]) -> Vec<f
     out
 }
 
+/// What speaks for the classes in each cell.
+struct OfCells {
+    /// Shares of the classes. `[cells, classes]`
+    shares: Vec<f32>,
+    /// The class of each cell, and of each of its Gaussians.
+    labels: Vec<(i32, Vec<i32>)>,
+}
+
+impl OfCells {
+    /// `total` puts what speaks for the classes in a Gaussian.
+    fn new(cells: &Groups, classes: usize, total: impl Fn(u32, &mut [f32]) + Sync) -> Self {
+        let mut shares = vec![0.0; (cells.start.len() - 1) * classes];
+        let of_cell = |sum: &mut Vec<f32>, (cell, share): (usize, &mut [f32])| {
+            let mut own = Vec::with_capacity(cells.of(cell).len());
+            for &row in cells.of(cell) {
+                total(row, sum);
+                own.push(largest(sum));
+                share.iter_mut().zip(sum.iter()).for_each(|(share, p)| *share += p);
+            }
+            let whole: f32 = share.iter().sum();
+            if whole > 0.0 {
+                share.iter_mut().for_each(|share| *share /= whole);
+            }
+            (largest(share), own)
+        };
+        let cells = shares.par_chunks_exact_mut(classes).enumerate();
+        let labels = cells.map_init(|| vec![0.0_f32; classes], of_cell).collect();
+        Self { shares, labels }
+    }
+}
+
 /// Labels as surfaces of several scales have them: each Gaussian takes the class of which the mean shares of its
 /// surfaces and its own share are the most together; of equal ones the smallest. Where surfaces of one scale hold
 /// parts of two things, those of another count for more. Then pieces that are too small for their class
@@ -151,27 +182,9 @@ pub fn agree(
         }
     };
     // Cell by cell, for the shares of cells are needed as well.
-    let mut share_of_cell = vec![0.0; surfaces.area.len() * classes];
-    let found: Vec<(i32, Vec<i32>)> = (share_of_cell.par_chunks_exact_mut(classes).enumerate())
-        .map_init(
-            || vec![0.0_f32; classes],
-            |sum, (cell, share)| {
-                let mut own = Vec::with_capacity(cells.of(cell).len());
-                for &row in cells.of(cell) {
-                    total(row, sum);
-                    own.push(largest(sum));
-                    share.iter_mut().zip(sum.iter()).for_each(|(share, p)| *share += p);
-                }
-                let whole: f32 = share.iter().sum();
-                if whole > 0.0 {
-                    share.iter_mut().for_each(|share| *share /= whole);
-                }
-                (largest(share), own)
-            },
-        )
-        .collect();
+    let found = OfCells::new(&cells, classes, total);
     let mut agreed = Agreed::default();
-    for (cell, (_, own)) in found.iter().enumerate() {
+    for (cell, (_, own)) in found.labels.iter().enumerate() {
         for (&row, &label) in cells.of(cell).iter().zip(own) {
             let label = if label < 0 { labels[row as usize] } else { label };
             agreed.changed += usize::from(label != labels[row as usize]);
@@ -181,8 +194,8 @@ pub fn agree(
     if settings.least_area.iter().all(|area| *area <= 0.0) {
         return Ok(agreed);
     }
-    let before: Vec<i32> = found.iter().map(|(label, _)| *label).collect();
-    agreed.small = change_small(labels, &before, &cells, &share_of_cell, surfaces, settings);
+    let before: Vec<i32> = found.labels.iter().map(|(label, _)| *label).collect();
+    agreed.small = change_small(labels, &before, &cells, &found.shares, surfaces, settings);
     Ok(agreed)
 }
 

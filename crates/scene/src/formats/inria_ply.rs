@@ -48,8 +48,7 @@ pub fn read_inria_ply(file: &PlyFile, options: &ReadOptions) -> Result<LoadedSce
         return Err(SceneError::format(file.path(), problem, "vertices need a position"));
     }
     let path = file.path();
-    scene.coord = zeroed(rows, path)?;
-    pass.add(&[x, y, z], scene.coord.as_flattened_mut())?;
+    reader.fill(&mut pass, &[x, y, z], &mut scene.coord)?;
     scene.log_scale = match reader.odd_scale()? {
         Some(values) => values,
         None => zeroed(rows, path)?,
@@ -57,11 +56,11 @@ pub fn read_inria_ply(file: &PlyFile, options: &ReadOptions) -> Result<LoadedSce
     if reader.has_all(&SCALE) {
         pass.add(&SCALE, scene.log_scale.as_flattened_mut())?;
     }
-    scene.quat = zeroed(rows, path)?;
     if reader.group(&ROT)? {
-        pass.add(&ROT, scene.quat.as_flattened_mut())?;
+        reader.fill(&mut pass, &ROT, &mut scene.quat)?;
     } else {
         reader.missing(Rule::QuatMissing);
+        scene.quat = zeroed(rows, path)?;
         scene.quat.fill([1.0, 0.0, 0.0, 0.0]);
     }
     scene.opacity_logit = zeroed(rows, path)?;
@@ -72,22 +71,13 @@ pub fn read_inria_ply(file: &PlyFile, options: &ReadOptions) -> Result<LoadedSce
         scene.opacity_logit.fill(f32::INFINITY);
     }
     if reader.group(&DC)? {
-        scene.sh_dc = zeroed(rows, path)?;
-        pass.add(&DC, scene.sh_dc.as_flattened_mut())?;
+        reader.fill(&mut pass, &DC, &mut scene.sh_dc)?;
     } else {
         scene.sh_dc = reader.dc_from_colors()?;
     }
-    let rest_names = reader.rest_columns(options.sh_rest)?;
-    if !rest_names.is_empty() {
-        let names: Vec<&str> = rest_names.iter().map(String::as_str).collect();
-        // The columns are there, so a row is at least as wide and the product fits.
-        scene.sh_rest = zeroed(rows * names.len(), path)?;
-        pass.add(&names, &mut scene.sh_rest)?;
-        scene.sh_degree = sh_degree(names.len()).unwrap_or(0);
-    }
+    scene.sh_degree = reader.fill_rest(&mut pass, options.sh_rest, &mut scene.sh_rest)?;
     if reader.group(&["nx", "ny", "nz"])? {
-        let normal = scene.normal.insert(zeroed(rows, path)?);
-        pass.add(&["nx", "ny", "nz"], normal.as_flattened_mut())?;
+        reader.fill(&mut pass, &["nx", "ny", "nz"], scene.normal.insert(Vec::new()))?;
     }
     // A score by itself may be that of a query, or anything.
     if vertex.has(SCORE) && has_labels(vertex, options.segment.as_deref()) {
@@ -108,6 +98,35 @@ struct Reader<'a> {
 }
 
 impl Reader<'_> {
+    /// Has `pass` fill a new array with these columns.
+    fn fill<'p, const W: usize>(
+        &self,
+        pass: &mut Gather<'p>,
+        names: &[&str; W],
+        into: &'p mut Vec<[f32; W]>,
+    ) -> Result<(), SceneError> {
+        *into = zeroed(self.vertex.count, self.file.path())?;
+        pass.add(names, into.as_flattened_mut())
+    }
+
+    /// Has `pass` fill the higher harmonics, if they are wanted; returns their degree.
+    fn fill_rest<'p>(
+        &mut self,
+        pass: &mut Gather<'p>,
+        wanted: bool,
+        into: &'p mut Vec<f32>,
+    ) -> Result<u8, SceneError> {
+        let names = self.rest_columns(wanted)?;
+        if names.is_empty() {
+            return Ok(0);
+        }
+        let names: Vec<&str> = names.iter().map(String::as_str).collect();
+        // The columns are there, so a row is at least as wide and the product fits.
+        *into = zeroed(self.vertex.count * names.len(), self.file.path())?;
+        pass.add(&names, into)?;
+        Ok(sh_degree(names.len()).unwrap_or(0))
+    }
+
     fn missing(&mut self, rule: Rule) {
         self.report.add(rule, self.vertex.count, 0, "");
     }

@@ -124,10 +124,7 @@ pub fn decode(
     report: &mut RepairReport,
     path: &Path,
 ) -> Result<(), SceneError> {
-    let bad = |problem: String| {
-        let problem = format!("its block of labels {problem}");
-        SceneError::format(path, problem, "write the scene with its labels again")
-    };
+    let bad = |problem: String| damaged(path, &problem);
     let about = read_about(bytes).map_err(|e| bad(format!("cannot be read: {e}")))?;
     if about.gaussians != rows {
         return Err(bad(format!("is for {} Gaussians, not {rows}", about.gaussians)));
@@ -151,19 +148,7 @@ pub fn decode(
     let code = get("lang_code", Dtype::F16, &[n, None])?;
     let mean = get("lang_codebook_mean", Dtype::F32, &[None])?;
     let axes = get("lang_codebook_axes", Dtype::F32, &[None, None])?;
-    let codebook = if let (Some(code), Some(mean), Some(axes)) = (&code, &mean, &axes) {
-        let (k, width) = (code.shape()[1], mean.shape()[0]);
-        if axes.shape() != [k, width] {
-            return Err(bad(format!("has codes of {k}, but axes {:?}", axes.shape())));
-        }
-        let codebook = LanguageCodebook { mean: floats(mean.data()), axes: floats(axes.data()) };
-        codebook.check()?;
-        Some(codebook)
-    } else if code.is_some() || mean.is_some() || axes.is_some() {
-        return Err(bad("has language codes without the whole codebook".to_owned()));
-    } else {
-        None
-    };
+    let codebook = codebook([&code, &mean, &axes], path)?;
     // Nothing can fail any more.
     for (view, into) in [(segment, &mut scene.segment), (instance, &mut scene.instance)] {
         if let Some(view) = view {
@@ -180,6 +165,30 @@ pub fn decode(
         scene.lang_code = Some(clean_code(LanguageCode { values, codebook }, report));
     }
     Ok(())
+}
+
+fn damaged(path: &Path, problem: &str) -> SceneError {
+    let problem = format!("its block of labels {problem}");
+    SceneError::format(path, problem, "write the scene with its labels again")
+}
+
+/// The codebook of codes, from its mean and its axes; `None` if nothing of all three is there.
+fn codebook(
+    parts: [&Option<TensorView<'_>>; 3],
+    path: &Path,
+) -> Result<Option<LanguageCodebook>, SceneError> {
+    let [Some(code), Some(mean), Some(axes)] = parts else {
+        let problem = "has language codes without the whole codebook";
+        let is_torn = parts.iter().any(|part| part.is_some());
+        return if is_torn { Err(damaged(path, problem)) } else { Ok(None) };
+    };
+    let (k, width) = (code.shape()[1], mean.shape()[0]);
+    if axes.shape() != [k, width] {
+        return Err(damaged(path, &format!("has codes of {k}, but axes {:?}", axes.shape())));
+    }
+    let codebook = LanguageCodebook { mean: floats(mean.data()), axes: floats(axes.data()) };
+    codebook.check()?;
+    Ok(Some(codebook))
 }
 
 /// Codes that are not finite become 0, which is no feature, and are reported.

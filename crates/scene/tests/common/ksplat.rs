@@ -46,69 +46,71 @@ pub fn center(section: usize, bucket: usize) -> [f32; 3] {
     [section as f32 * 10.0, bucket as f32, -1.0]
 }
 
+/// Writes numbers at places.
+fn put<const N: usize>(out: &mut [u8], from: usize, values: [(usize, u32); N]) {
+    for (at, value) in values {
+        out[from + at..from + at + 4].copy_from_slice(&value.to_le_bytes());
+    }
+}
+
+/// A row as a record of a level.
+fn put_record(out: &mut Vec<u8>, level: u16, row: u32, degree: u16) {
+    let e = expected(row);
+    let shape = e.scale.iter().chain(&e.quat);
+    if level == 0 {
+        let floats = e.offset.map(f32::from);
+        floats.iter().chain(shape).for_each(|v| out.extend(v.to_le_bytes()));
+    } else {
+        e.offset.iter().for_each(|v| out.extend(v.to_le_bytes()));
+        shape.for_each(|&v| out.extend(f16::from_f32(v).to_le_bytes()));
+    }
+    out.extend(e.color);
+    let mut first = 0;
+    for band in 1..=usize::from(degree) {
+        for channel in 0..3 {
+            for m in 0..2 * band + 1 {
+                let value = coefficient(row, first + m, channel);
+                match level {
+                    0 => out.extend(value.to_le_bytes()),
+                    1 => out.extend(f16::from_f32(value).to_le_bytes()),
+                    _ => out.push(((value + 1.0) / 2.0 * 255.0) as u8),
+                }
+            }
+        }
+        first += 2 * band + 1;
+    }
+}
+
 pub fn ksplat(level: u16, sections: &[Section]) -> Vec<u8> {
     let total: u32 = sections.iter().map(Section::rows).sum();
+    let count = sections.len() as u32;
     let mut out = vec![0u8; 4096 + 1024 * sections.len()];
-    let put = |out: &mut Vec<u8>, at: usize, value: u32| {
-        out[at..at + 4].copy_from_slice(&value.to_le_bytes());
-    };
     out[1] = 1;
-    put(&mut out, 4, sections.len() as u32);
-    put(&mut out, 8, sections.len() as u32);
-    put(&mut out, 12, total);
-    put(&mut out, 16, total);
-    put(&mut out, 20, u32::from(level));
-    put(&mut out, 36, (-1.0f32).to_bits());
-    put(&mut out, 40, 1.0f32.to_bits());
+    put(&mut out, 0, [(4, count), (8, count), (12, total), (16, total), (20, level.into())]);
+    put(&mut out, 0, [(36, (-1.0f32).to_bits()), (40, 1.0f32.to_bits())]);
     let mut row = 0;
     for (index, section) in sections.iter().enumerate() {
-        let at = 4096 + 1024 * index;
-        let buckets = section.full + section.partial.len() as u32;
-        put(&mut out, at, section.rows());
-        put(&mut out, at + 4, section.rows() + section.spare);
-        put(&mut out, at + 8, 4);
-        put(&mut out, at + 12, buckets);
-        put(&mut out, at + 16, (BLOCK as f32).to_bits());
-        put(&mut out, at + 20, 12);
-        put(&mut out, at + 32, section.full);
-        put(&mut out, at + 36, section.partial.len() as u32);
-        put(&mut out, at + 40, u32::from(section.degree));
+        let partial = section.partial.len() as u32;
+        let buckets = section.full + partial;
+        let header = [
+            (0, section.rows()),
+            (4, section.rows() + section.spare),
+            (8, 4),
+            (12, buckets),
+            (16, (BLOCK as f32).to_bits()),
+            (20, 12),
+            (32, section.full),
+            (36, partial),
+            (40, section.degree.into()),
+        ];
+        put(&mut out, 4096 + 1024 * index, header);
         section.partial.iter().for_each(|count| out.extend(count.to_le_bytes()));
         for bucket in 0..buckets as usize {
             center(index, bucket).iter().for_each(|v| out.extend(v.to_le_bytes()));
         }
         let start = out.len();
         for _ in 0..section.rows() {
-            let e = expected(row);
-            if level == 0 {
-                let floats = e.offset.map(f32::from);
-                floats
-                    .iter()
-                    .chain(&e.scale)
-                    .chain(&e.quat)
-                    .for_each(|v| out.extend(v.to_le_bytes()));
-            } else {
-                e.offset.iter().for_each(|v| out.extend(v.to_le_bytes()));
-                e.scale
-                    .iter()
-                    .chain(&e.quat)
-                    .for_each(|&v| out.extend(f16::from_f32(v).to_le_bytes()));
-            }
-            out.extend(e.color);
-            let mut first = 0;
-            for band in 1..=usize::from(section.degree) {
-                for channel in 0..3 {
-                    for m in 0..2 * band + 1 {
-                        let value = coefficient(row, first + m, channel);
-                        match level {
-                            0 => out.extend(value.to_le_bytes()),
-                            1 => out.extend(f16::from_f32(value).to_le_bytes()),
-                            _ => out.push(((value + 1.0) / 2.0 * 255.0) as u8),
-                        }
-                    }
-                }
-                first += 2 * band + 1;
-            }
+            put_record(&mut out, level, row, section.degree);
             row += 1;
         }
         let record = (out.len() - start) / section.rows().max(1) as usize;

@@ -91,8 +91,26 @@ fn everywhere() -> Everywhere {
 
 /// `width 800, height 600, fx 700, fy 690, cx 410, cy 290`; the last two only if not in the middle.
 fn in_all_files(lens: &Value, middle: bool) -> Vec<CameraSet> {
+    let Everywhere { centre, axes, .. } = everywhere();
+    let center = if middle { [400.0, 300.0] } else { [410.0, 290.0] };
+    let mut all = Vec::from(in_colmap_files(lens, center));
+    all.extend(in_transforms_json(lens, center));
+    if ["k1", "k2", "p1", "p2"].iter().all(|k| lens[k].is_null()) {
+        let mut camera = json!({"id": 0, "img_name": "a.jpg", "width": 800, "height": 600,
+                                "position": centre, "rotation": axes, "fy": 690.0, "fx": 700.0});
+        if !middle {
+            (camera["cx"], camera["cy"]) = (json!(center[0]), json!(center[1]));
+        }
+        let bytes = serde_json::to_vec(&json!([camera])).unwrap();
+        assert!(is_cameras_json(&bytes) && !is_transforms_json(&bytes));
+        all.push(read_cameras_json(&bytes, Path::new("cameras.json")).unwrap());
+    }
+    all
+}
+
+/// As a binary model and as text.
+fn in_colmap_files(lens: &Value, [cx, cy]: [f64; 2]) -> [CameraSet; 2] {
     let Everywhere { centre, axes, quat } = everywhere();
-    let (cx, cy) = if middle { (400.0, 300.0) } else { (410.0, 290.0) };
     let translation = [0, 1, 2].map(|j| -(0..3).map(|i| axes[i][j] * centre[i]).sum::<f64>());
     let params = [700.0, 690.0, cx, cy];
     let k: Vec<f64> = ["k1", "k2", "p1", "p2"].iter().filter_map(|k| lens[k].as_f64()).collect();
@@ -113,8 +131,12 @@ fn in_all_files(lens: &Value, middle: bool) -> Vec<CameraSet> {
         }],
         points: vec![],
     };
-    let mut all = vec![from_binary(&model.binary()).unwrap(), from_text(&model.text()).unwrap()];
+    [from_binary(&model.binary()).unwrap(), from_text(&model.text()).unwrap()]
+}
 
+/// With the intrinsics of all frames, of the frame alone, and as angles.
+fn in_transforms_json(lens: &Value, [cx, cy]: [f64; 2]) -> [CameraSet; 3] {
+    let Everywhere { centre, axes, .. } = everywhere();
     let matrix: Vec<Vec<f64>> = (0..3)
         .map(|i| vec![axes[i][0], -axes[i][1], -axes[i][2], centre[i]])
         .chain([vec![0.0, 0.0, 0.0, 1.0]])
@@ -135,27 +157,17 @@ fn in_all_files(lens: &Value, middle: bool) -> Vec<CameraSet> {
     let angles = json!({"camera_angle_x": 2.0 * (400.0f64 / 700.0).atan(),
                         "camera_angle_y": 2.0 * (300.0f64 / 690.0).atan(),
                         "w": 800, "h": 600, "cx": cx, "cy": cy});
-    for (top, frame) in [
+    [
         (merged(&[&intrinsics, lens]), frame.clone()),
         (wrong, merged(&[&frame, &zero, &intrinsics, lens])),
         (merged(&[&angles, lens]), frame),
-    ] {
+    ]
+    .map(|(top, frame)| {
         let file = merged(&[&top, &json!({"frames": [frame]})]);
         let bytes = serde_json::to_vec(&file).unwrap();
         assert!(is_transforms_json(&bytes) && !is_cameras_json(&bytes));
-        all.push(read_transforms_json(&bytes, Path::new("transforms.json")).unwrap());
-    }
-    if k.is_empty() {
-        let mut camera = json!({"id": 0, "img_name": "a.jpg", "width": 800, "height": 600,
-                                "position": centre, "rotation": axes, "fy": 690.0, "fx": 700.0});
-        if !middle {
-            (camera["cx"], camera["cy"]) = (json!(cx), json!(cy));
-        }
-        let bytes = serde_json::to_vec(&json!([camera])).unwrap();
-        assert!(is_cameras_json(&bytes) && !is_transforms_json(&bytes));
-        all.push(read_cameras_json(&bytes, Path::new("cameras.json")).unwrap());
-    }
-    all
+        read_transforms_json(&bytes, Path::new("transforms.json")).unwrap()
+    })
 }
 
 #[test]
@@ -277,35 +289,39 @@ fn a_real_scene_is_where_its_cameras_look() {
         read_cameras_json(json!(list).to_string().as_bytes(), here).unwrap(),
         read_transforms_json(json!({"frames": frames}).to_string().as_bytes(), here).unwrap(),
     ] {
-        let (mut seen, mut all) = (0, 0);
-        for point in points.as_chunks::<3>().0.iter().step_by(50) {
-            let mut here = false;
-            let matrices = views.chunks_exact(16).zip(ks.chunks_exact(9));
-            for (camera, (view, k)) in set.cameras.iter().zip(matrices) {
-                let row = |i: usize| {
-                    let m = &view[4 * i..4 * i + 4];
-                    m[0] * point[0] + m[1] * point[1] + m[2] * point[2] + m[3]
-                };
-                let (x, y, z) = (row(0), row(1), row(2));
-                let Some(got) = camera.project(*point) else {
-                    assert!(z <= 1e-6, "{z}");
-                    continue;
-                };
-                // The matrices are of f32, orthonormal to 7 digits; the cameras to 15. That
-                // turns directions by as much, which shows in pixels far outside only.
-                let due = [k[0] * x / z + k[2], k[4] * y / z + k[5]];
-                if camera.contains(due) {
-                    let off = (got[0] - due[0]).abs().max((got[1] - due[1]).abs());
-                    assert!(off < 1e-3, "{got:?} {due:?}");
-                }
-                here |= camera.contains(got);
-            }
-            seen += usize::from(here);
-            all += 1;
-        }
+        let points = points.as_chunks::<3>().0.iter().step_by(50);
+        let (seen, all) = points.fold((0, 0), |(seen, all), point| {
+            (seen + usize::from(is_seen(&set, *point, &views, &ks)), all + 1)
+        });
         // With camera axes right, up, back it would be 4 of 100.
         assert!(seen * 100 > all * 65, "{:?}: {seen} of {all}", set.kind);
     }
+}
+
+/// Whether a camera sees a point; all of them see it where the matrices have it, which are of 16 and of 9 numbers.
+fn is_seen(set: &CameraSet, point: [f64; 3], views: &[f64], ks: &[f64]) -> bool {
+    let mut seen = false;
+    let matrices = views.chunks_exact(16).zip(ks.chunks_exact(9));
+    for (camera, (view, k)) in set.cameras.iter().zip(matrices) {
+        let row = |i: usize| {
+            let m = &view[4 * i..4 * i + 4];
+            m[0] * point[0] + m[1] * point[1] + m[2] * point[2] + m[3]
+        };
+        let (x, y, z) = (row(0), row(1), row(2));
+        let Some(got) = camera.project(point) else {
+            assert!(z <= 1e-6, "{z}");
+            continue;
+        };
+        // The matrices are of f32, orthonormal to 7 digits; the cameras to 15. That
+        // turns directions by as much, which shows in pixels far outside only.
+        let due = [k[0] * x / z + k[2], k[4] * y / z + k[5]];
+        if camera.contains(due) {
+            let off = (got[0] - due[0]).abs().max((got[1] - due[1]).abs());
+            assert!(off < 1e-3, "{got:?} {due:?}");
+        }
+        seen |= camera.contains(got);
+    }
+    seen
 }
 
 #[test]

@@ -315,8 +315,8 @@ fn harmonics_are_left_out_on_request() {
     }
 }
 
-#[test]
-fn what_a_format_cannot_hold_is_counted() {
+/// 700 Gaussians of which formats cannot hold some.
+fn beyond_formats() -> GaussianScene {
     let mut scene = random_scene(700, 4, 4);
     scene.sh_dc = vec![[0.5; 3]; 700];
     scene.opacity_logit = vec![0.0; 700];
@@ -327,7 +327,16 @@ fn what_a_format_cannot_hold_is_counted() {
     scene.log_scale[11][1] = 90.0;
     scene.log_scale[12] = [-200.0; 3];
     scene.log_scale[13][1] = f32::NEG_INFINITY;
-    let near = |a: f64, b: f64| (a - b).abs() < 1e-4;
+    scene
+}
+
+fn near(a: f64, b: f64) -> bool {
+    (a - b).abs() < 1e-4
+}
+
+#[test]
+fn what_files_of_bytes_and_floats_cannot_hold_is_counted() {
+    let scene = beyond_formats();
     for case in [CASES[2], CASES[6]] {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join(case.name);
@@ -347,18 +356,25 @@ fn what_a_format_cannot_hold_is_counted() {
         assert_eq!(find("sh_rest", "no place").0, 700);
         assert_eq!(report.limits.len(), 5, "{report}");
     }
+}
+
+/// Field, rows, first row and largest change of each limit of what is written.
+fn limits_of(scene: &GaussianScene, case: Case) -> Vec<(&'static str, usize, usize, f64)> {
     let folder = tempfile::tempdir().unwrap();
-    let found = |scene: &GaussianScene, case: Case| -> Vec<(&str, usize, usize, f64)> {
-        let limits = write(scene, &folder.path().join(case.name), case.format).limits;
-        limits.iter().map(|l| (l.field, l.rows, l.first_row, l.largest_change)).collect()
-    };
+    let limits = write(scene, &folder.path().join(case.name), case.format).limits;
+    limits.iter().map(|l| (l.field, l.rows, l.first_row, l.largest_change)).collect()
+}
+
+#[test]
+fn what_packed_files_cannot_hold_is_counted() {
+    let mut scene = beyond_formats();
     scene.log_scale[10] = [-25.0, 0.0, 21.0];
     scene.log_scale[6] = [20.0, -20.0, 0.0];
     scene.sh_rest[72 * 8 + 1] = 4.5;
     scene.sh_rest[72 * 9] = -6.0;
     scene.sh_rest[72 * 12 + 60] = 100.0;
     scene.sh_dc[80][0] = -1e33;
-    let packed = found(&scene, CASES[1]);
+    let packed = limits_of(&scene, CASES[1]);
     assert_eq!(packed[0], ("log_scale", 4, 10, f64::INFINITY));
     assert_eq!((packed[1].0, packed[1].1, packed[1].2), ("opacity_logit", 2, 600));
     assert!(near(packed[1].3, 1.0 / (1.0 + 8f64.exp())));
@@ -366,6 +382,10 @@ fn what_a_format_cannot_hold_is_counted() {
     // The one in band 4 is beyond the format anyway.
     assert_eq!(packed[3], ("sh_rest", 2, 8, 2.0));
     assert_eq!((packed[4].0, packed[4].1, packed.len()), ("sh_rest", 700, 5));
+}
+
+#[test]
+fn what_textures_cannot_hold_is_counted() {
     let mut scene = random_scene(50, 4, 1);
     scene.log_scale[7][1] = f32::NEG_INFINITY;
     scene.opacity_logit.fill(6.0);
@@ -374,7 +394,7 @@ fn what_a_format_cannot_hold_is_counted() {
     scene.sh_rest[72 * 20..].fill(0.0);
     let cut = (0..20).flat_map(|row| &scene.sh_rest[row * 72 + 45..(row + 1) * 72]);
     let largest = f64::from(cut.fold(0f32, |a, v| a.max(v.abs())));
-    let textures = found(&scene, CASES[3]);
+    let textures = limits_of(&scene, CASES[3]);
     let due = [("log_scale", 1, 7), ("opacity_logit", 1, 3), ("sh_rest", 20, 0)];
     assert!(textures.iter().map(|l| (l.0, l.1, l.2)).eq(due), "{textures:?}");
     assert_eq!(textures[2].3, largest);

@@ -61,6 +61,43 @@ impl std::fmt::Debug for OnnxSeen {
     }
 }
 
+/// Names of the inputs of the decoder that the encoder gives.
+fn between(encoder: &Model, decoder: &Model) -> Result<Vec<String>, VisionError> {
+    let has = |name: &str| decoder.inputs.iter().any(|port| port.name == name);
+    if let Some(missing) = [POINTS, LABELS].into_iter().find(|name| !has(name)) {
+        return Err(decoder.bad(format!("has no input {missing:?}")));
+    }
+    let own = [POINTS, LABELS, MASK, HAS_MASK];
+    let names = decoder.inputs.iter().map(|port| &port.name);
+    let between: Vec<String> =
+        names.filter(|name| !own.contains(&name.as_str())).cloned().collect();
+    match between.iter().find(|name| !encoder.outputs.iter().any(|port| port.name == **name)) {
+        Some(name) => {
+            Err(decoder.bad(format!("its input {name:?} is no output of encoder.onnx, nor known")))
+        }
+        None => Ok(between),
+    }
+}
+
+/// The name of the decoder's output, and the side of its masks; 0 where the file leaves it open.
+fn masks(decoder: &Model) -> Result<(&'static str, usize), VisionError> {
+    let output = |name: &str| decoder.outputs.iter().find(|port| port.name == name);
+    let masks = ["low_res_masks", "masks"].into_iter().find(|name| output(name).is_some());
+    let (Some(masks), Some(_)) = (masks, output(IOU)) else {
+        return Err(decoder.bad("has to give masks (or low_res_masks) and iou_predictions"));
+    };
+    let shape = output(masks).map_or(&[][..], |port| &port.shape);
+    match *shape {
+        [_, -1 | 3 | 4, h, w] if h == w && (h == -1 || (4..=4096).contains(&h)) => {
+            Ok((masks, h.max(0) as usize))
+        }
+        _ => {
+            let expected = "[clicks, 3 or 4, side, side]";
+            Err(decoder.bad(format!("its output {masks:?} is {shape:?}, expected {expected}")))
+        }
+    }
+}
+
 impl OnnxClicks {
     /// Reads `encoder.onnx` and `decoder.onnx`.
     ///
@@ -79,49 +116,13 @@ impl OnnxClicks {
             0 => SIDE,
             side => side,
         };
-        let has = |name: &str| decoder.inputs.iter().any(|port| port.name == name);
-        if let Some(missing) = [POINTS, LABELS].into_iter().find(|name| !has(name)) {
-            return Err(decoder.bad(format!("has no input {missing:?}")));
-        }
-        let own = [POINTS, LABELS, MASK, HAS_MASK];
-        let mut between = Vec::new();
-        for port in decoder.inputs.iter().filter(|port| !own.contains(&port.name.as_str())) {
-            let name = &port.name;
-            if !encoder.outputs.iter().any(|port| port.name == *name) {
-                return Err(decoder
-                    .bad(format!("its input {name:?} is no output of encoder.onnx, nor known")));
-            }
-            between.push(name.clone());
-        }
-        let output = |name: &str| decoder.outputs.iter().find(|port| port.name == name);
-        let masks = ["low_res_masks", "masks"].into_iter().find(|name| output(name).is_some());
-        let (Some(masks), Some(_)) = (masks, output(IOU)) else {
-            return Err(decoder.bad("has to give masks (or low_res_masks) and iou_predictions"));
-        };
-        let shape = output(masks).map_or(&[][..], |port| &port.shape);
-        let mask_side = match *shape {
-            [_, -1 | 3 | 4, h, w] if h == w && (h == -1 || (4..=4096).contains(&h)) => h,
-            _ => {
-                let expected = "[clicks, 3 or 4, side, side]";
-                return Err(
-                    decoder.bad(format!("its output {masks:?} is {shape:?}, expected {expected}"))
-                );
-            }
-        };
+        let between = between(&encoder, &decoder)?;
+        let (masks, mask_side) = masks(&decoder)?;
         let batch =
             decoder.inputs.iter().filter(|port| [POINTS, LABELS].contains(&port.name.as_str()));
         let batch =
             batch.filter_map(|port| usize::try_from(*port.shape.first()?).ok()).max().unwrap_or(0);
-        let mut found = Self {
-            encoder,
-            decoder,
-            picture,
-            side,
-            between,
-            masks,
-            mask_side: mask_side.max(0) as usize,
-            batch,
-        };
+        let mut found = Self { encoder, decoder, picture, side, between, masks, mask_side, batch };
         if found.mask_side == 0 {
             // Sizes that the file leaves open show when it runs.
             let seen = found.see(&RgbPicture::filled(side as u32, side as u32, [127; 3]))?;

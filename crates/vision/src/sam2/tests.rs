@@ -261,6 +261,29 @@ mod reference {
             .collect()
     }
 
+    /// What the query of one token attends to, head by head.
+    fn attend(q: &[f64], k: &Rows, v: &Rows, heads: usize) -> Vec<f64> {
+        let dim = q.len() / heads;
+        let mut out = Vec::new();
+        for head in 0..heads {
+            let at = head * dim..(head + 1) * dim;
+            let scores: Vec<f64> = k
+                .iter()
+                .map(|k| {
+                    let dot: f64 =
+                        q[at.clone()].iter().zip(&k[at.clone()]).map(|(q, k)| q * k).sum();
+                    (dot / (dim as f64).sqrt()).exp()
+                })
+                .collect();
+            let sum: f64 = scores.iter().sum();
+            for d in at {
+                let terms = scores.iter().zip(v).map(|(s, v)| s * v[d]);
+                out.push(terms.sum::<f64>() / sum);
+            }
+        }
+        out
+    }
+
     fn block(b: &Block, x: &Rows, side: usize) -> (Rows, usize) {
         let y = norm(x, &b.norms[0]);
         let pools = b.linear[4].is_some();
@@ -293,25 +316,7 @@ mod reference {
                 if row >= out_side || column >= out_side {
                     continue;
                 }
-                let dim = width / b.heads;
-                let mut out = Vec::new();
-                for head in 0..b.heads {
-                    let at = head * dim..(head + 1) * dim;
-                    let scores: Vec<f64> = k
-                        .iter()
-                        .map(|k| {
-                            let dot: f64 =
-                                q[at.clone()].iter().zip(&k[at.clone()]).map(|(q, k)| q * k).sum();
-                            (dot / (dim as f64).sqrt()).exp()
-                        })
-                        .collect();
-                    let sum: f64 = scores.iter().sum();
-                    for d in at {
-                        let terms = scores.iter().zip(&v).map(|(s, v)| s * v[d]);
-                        out.push(terms.sum::<f64>() / sum);
-                    }
-                }
-                attended[row * out_side + column] = out;
+                attended[row * out_side + column] = attend(q, &k, &v, b.heads);
             }
         }
         let plus = |a: Rows, b: &Rows| -> Rows {

@@ -88,48 +88,41 @@ fn join(
     }
     let mut cameras = Vec::with_capacity(pictures.len());
     for picture in pictures {
-        let name = picture.name;
         let Some(lens) = by_id.get(&picture.lens) else {
-            return Err(bad_image(format!(
-                "image {name:?} is of camera {}, which is missing",
-                picture.lens
-            )));
+            let (name, id) = (picture.name, picture.lens);
+            return Err(bad_image(format!("image {name:?} is of camera {id}, which is missing")));
         };
-        let size = |v: u64| {
-            let problem = || bad(format!("camera {} is {v} pixels wide or high", lens.id));
-            u32::try_from(v).map_err(|_| problem())
-        };
-        let (width, height) = (size(lens.width)?, size(lens.height)?);
-        // Only lenses that a picture was taken with must be understood.
-        let (fx, fy, cx, cy, distortion) = intrinsics(lens).map_err(|problem| {
-            SceneError::format(
-                &file("cameras"),
-                problem,
-                "undistort the pictures with COLMAP first",
-            )
-        })?;
-        let norm = picture.quat.iter().map(|v| v * v).sum::<f64>().sqrt();
-        if !(norm > 0.0 && norm.is_finite()) {
-            return Err(bad_image(format!("image {name:?} has the rotation {:?}", picture.quat)));
-        }
-        let rotation = rotation(picture.quat.map(|v| v / norm));
-        let translation = picture.translation;
-        cameras.push(Camera {
-            name,
-            width,
-            height,
-            fx,
-            fy,
-            cx,
-            cy,
-            distortion,
-            rotation,
-            translation,
-        });
+        cameras.push(camera(picture, lens, &file("cameras"), &file("images"))?);
     }
     let mut notes = Vec::new();
     let points = points.map(|points| finite_points(points, &mut notes));
     CameraSet { cameras, points, kind, notes }.finish(folder)
+}
+
+/// The camera of a picture; the paths are those of the files of lenses and of pictures.
+fn camera(
+    picture: Picture,
+    lens: &Lens,
+    lenses: &Path,
+    pictures: &Path,
+) -> Result<Camera, SceneError> {
+    let Picture { name, quat, translation, .. } = picture;
+    let size = |v: u64| {
+        let problem = || format!("camera {} is {v} pixels wide or high", lens.id);
+        u32::try_from(v).map_err(|_| SceneError::format(lenses, problem(), MEND))
+    };
+    let (width, height) = (size(lens.width)?, size(lens.height)?);
+    // Only lenses that a picture was taken with must be understood.
+    let (fx, fy, cx, cy, distortion) = intrinsics(lens).map_err(|problem| {
+        SceneError::format(lenses, problem, "undistort the pictures with COLMAP first")
+    })?;
+    let norm = quat.iter().map(|v| v * v).sum::<f64>().sqrt();
+    if !(norm > 0.0 && norm.is_finite()) {
+        let problem = format!("image {name:?} has the rotation {quat:?}");
+        return Err(SceneError::format(pictures, problem, MEND));
+    }
+    let rotation = rotation(quat.map(|v| v / norm));
+    Ok(Camera { name, width, height, fx, fy, cx, cy, distortion, rotation, translation })
 }
 
 /// Leaves out points without a position, and says so.

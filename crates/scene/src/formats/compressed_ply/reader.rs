@@ -7,7 +7,7 @@ use super::{BOUNDS, CHUNK, CHUNK_ROWS, COLOR_BOUNDS, PACKED, SH, VERTEX};
 use crate::formats::inria_ply::{rest_names, sh_degree};
 use crate::formats::label_column::{read_instance, read_segment};
 use crate::formats::packed_values::{alpha_logits, dc_of};
-use crate::formats::ply::{ByteRows, PlyFile};
+use crate::formats::ply::{ByteRows, PlyElement, PlyFile};
 use crate::formats::scene_blocks::{SceneBlock, fill_scene};
 use crate::formats::{LoadedScene, ReadOptions, SceneFormat, semantics};
 use crate::value_policy::Rule;
@@ -32,16 +32,7 @@ pub fn read_compressed_ply(
     file: &PlyFile,
     options: &ReadOptions,
 ) -> Result<LoadedScene, SceneError> {
-    let bad = |problem: String| SceneError::format(file.path(), problem, "export the scene again");
-    let Some(vertex) = file.element(VERTEX) else {
-        return Err(bad("has no element vertex".to_owned()));
-    };
-    let Some(chunk) = file.element(CHUNK) else {
-        return Err(bad("has packed vertices but no element chunk".to_owned()));
-    };
-    if chunk.count < vertex.count.div_ceil(CHUNK_ROWS) {
-        return Err(bad(format!("has {} chunks for {} vertices", chunk.count, vertex.count)));
-    }
+    let (vertex, chunk) = elements(file)?;
     let mut report = RepairReport::default();
     file.report_trailing(vertex.count, &mut report);
     let segment = read_segment(file, vertex, options.segment.as_deref(), &mut report)?;
@@ -95,6 +86,25 @@ pub fn read_compressed_ply(
     LoadedScene::finish(scene, report, options.policy, file.path(), SceneFormat::CompressedPly)
 }
 
+fn bad(file: &PlyFile, problem: impl Into<String>) -> SceneError {
+    SceneError::format(file.path(), problem, "export the scene again")
+}
+
+/// The vertices and the chunks, which fit each other in number.
+fn elements(file: &PlyFile) -> Result<(&PlyElement, &PlyElement), SceneError> {
+    let Some(vertex) = file.element(VERTEX) else {
+        return Err(bad(file, "has no element vertex"));
+    };
+    let Some(chunk) = file.element(CHUNK) else {
+        return Err(bad(file, "has packed vertices but no element chunk"));
+    };
+    if chunk.count < vertex.count.div_ceil(CHUNK_ROWS) {
+        let problem = format!("has {} chunks for {} vertices", chunk.count, vertex.count);
+        return Err(bad(file, problem));
+    }
+    Ok((vertex, chunk))
+}
+
 fn within(bounds: &[f32; 12], first: usize, word: u32) -> [f32; 3] {
     let codes = split_11_10_11(word);
     std::array::from_fn(|i| {
@@ -116,17 +126,14 @@ impl<'a> Rest<'a> {
     /// `None` if there are none, or they are not wanted.
     fn find(file: &'a PlyFile, rows: usize, wanted: bool) -> Result<Option<Self>, SceneError> {
         let Some(sh) = file.element(SH) else { return Ok(None) };
-        let bad =
-            |problem: String| SceneError::format(file.path(), problem, "export the scene again");
         if sh.count != rows {
-            return Err(bad(format!("has {} rows of coefficients for {rows} vertices", sh.count)));
+            let problem = format!("has {} rows of coefficients for {rows} vertices", sh.count);
+            return Err(bad(file, problem));
         }
         let count = sh.properties.len();
         let Some(degree) = sh_degree(count) else {
-            return Err(bad(format!(
-                "has {count} coefficients: {}",
-                Rule::RestCount.about().bad_value
-            )));
+            let rule = Rule::RestCount.about().bad_value;
+            return Err(bad(file, format!("has {count} coefficients: {rule}")));
         };
         if degree == 0 || !wanted {
             return Ok(None);

@@ -25,13 +25,28 @@ const CHUNK_HEADER: u64 = 8;
 /// Writes the numbers of a row of a scene.
 type RowValues = Box<dyn Fn(&GaussianScene, usize, &mut [f32]) + Sync>;
 
+/// What glTF calls vectors of one number and more.
+const SHAPES: [&str; 4] = ["SCALAR", "VEC2", "VEC3", "VEC4"];
+
 /// One attribute of the Gaussians.
 struct Attribute {
     name: String,
-    shape: &'static str,
+    /// 1 to 4.
     width: usize,
     /// The numbers of a row, `width` of them.
     value: RowValues,
+}
+
+impl Attribute {
+    /// One of the extension.
+    fn of_splats(
+        part: &str,
+        width: usize,
+        value: impl Fn(&GaussianScene, usize, &mut [f32]) + Sync + 'static,
+    ) -> Self {
+        let name = format!("KHR_gaussian_splatting:{part}");
+        Self { name, width, value: Box::new(value) }
+    }
 }
 
 /// Writes a scene as a `.glb` file.
@@ -94,46 +109,28 @@ pub(in crate::formats) fn write_glb(
 fn attributes(scene: &GaussianScene) -> Vec<Attribute> {
     let turn = Frame::CANONICAL.matrix_to(Frame::LUF);
     let [x, y, z] = [0, 1, 2].map(|i| turn[i][i] as f32);
-    let name = |part: &str| format!("KHR_gaussian_splatting:{part}");
     let mut out = vec![
         Attribute {
             name: "POSITION".to_owned(),
-            shape: "VEC3",
             width: 3,
             value: Box::new(move |scene, row, out| {
                 let [a, b, c] = scene.coord[row];
                 out.copy_from_slice(&[x * a, y * b, z * c]);
             }),
         },
-        Attribute {
-            name: name("ROTATION"),
-            shape: "VEC4",
-            width: 4,
-            value: Box::new(move |scene, row, out| {
-                let [w, a, b, c] = canonical_quat(scene.quat[row]);
-                out.copy_from_slice(&[y * z * a, x * z * b, x * y * c, w]);
-            }),
-        },
-        Attribute {
-            name: name("SCALE"),
-            shape: "VEC3",
-            width: 3,
-            value: Box::new(|scene, row, out| {
-                out.copy_from_slice(&scene.log_scale[row].map(scale_code));
-            }),
-        },
-        Attribute {
-            name: name("OPACITY"),
-            shape: "SCALAR",
-            width: 1,
-            value: Box::new(|scene, row, out| out[0] = alpha_code(scene.opacity_logit[row])),
-        },
-        Attribute {
-            name: name("SH_DEGREE_0_COEF_0"),
-            shape: "VEC3",
-            width: 3,
-            value: Box::new(|scene, row, out| out.copy_from_slice(&scene.sh_dc[row])),
-        },
+        Attribute::of_splats("ROTATION", 4, move |scene, row, out| {
+            let [w, a, b, c] = canonical_quat(scene.quat[row]);
+            out.copy_from_slice(&[y * z * a, x * z * b, x * y * c, w]);
+        }),
+        Attribute::of_splats("SCALE", 3, |scene, row, out| {
+            out.copy_from_slice(&scene.log_scale[row].map(scale_code));
+        }),
+        Attribute::of_splats("OPACITY", 1, |scene, row, out| {
+            out[0] = alpha_code(scene.opacity_logit[row]);
+        }),
+        Attribute::of_splats("SH_DEGREE_0_COEF_0", 3, |scene, row, out| {
+            out.copy_from_slice(&scene.sh_dc[row]);
+        }),
     ];
     let bands = scene.sh_rest_len();
     let mut signs = vec![1.0f32; bands * 3];
@@ -142,17 +139,13 @@ fn attributes(scene: &GaussianScene) -> Vec<Attribute> {
     for degree in 1..=usize::from(scene.sh_degree) {
         for coefficient in 0..2 * degree + 1 {
             let (at, sign) = (3 * k, signs[3 * k]);
-            out.push(Attribute {
-                name: name(&format!("SH_DEGREE_{degree}_COEF_{coefficient}")),
-                shape: "VEC3",
-                width: 3,
-                value: Box::new(move |scene, row, out| {
-                    let first = row * bands * 3 + at;
-                    for (out, value) in out.iter_mut().zip(&scene.sh_rest[first..first + 3]) {
-                        *out = sign * value;
-                    }
-                }),
-            });
+            let part = format!("SH_DEGREE_{degree}_COEF_{coefficient}");
+            out.push(Attribute::of_splats(&part, 3, move |scene, row, out| {
+                let first = row * bands * 3 + at;
+                for (out, value) in out.iter_mut().zip(&scene.sh_rest[first..first + 3]) {
+                    *out = sign * value;
+                }
+            }));
             k += 1;
         }
     }
@@ -186,7 +179,7 @@ fn document(scene: &GaussianScene, attributes: &[Attribute], binary: u64) -> Vec
             "bufferView": index,
             "componentType": FLOAT,
             "count": scene.len(),
-            "type": attribute.shape,
+            "type": SHAPES[attribute.width - 1],
         });
         if attribute.name == "POSITION" {
             // Prescribed for positions.

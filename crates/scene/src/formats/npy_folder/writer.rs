@@ -234,6 +234,12 @@ fn write_files(
     report.limit("opacity_logit", ALPHA_ENDS, ends);
     report.limit("sh_dc", COLOR_CLIPPED, clipped);
     to.array("quat", n, &[4], scene.quat.as_flattened())?;
+    write_optional(scene, to)
+}
+
+/// The arrays that not every scene has.
+fn write_optional(scene: &GaussianScene, to: &mut Writer<'_>) -> Result<(), SceneError> {
+    let n = scene.len();
     if let Some(normal) = &scene.normal {
         to.array("normal", n, &[3], normal.as_flattened())?;
     }

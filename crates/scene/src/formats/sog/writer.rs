@@ -127,26 +127,8 @@ pub(super) fn encode(
     drop(codes);
     ticker.tick(0.15)?;
 
-    let scale = scale_codebook(scene, report);
-    ticker.tick(0.2)?;
-    let (quats, scales) = rayon::join(
-        || out.of_rows(|row| encode_quat(scene.quat[row])),
-        || out.of_rows(|row| scene.log_scale[row].map(|s| scale.code(s))),
-    );
-    sink("quats.webp", &quats?)?;
-    sink("scales.webp", &scales?)?;
-    ticker.tick(0.25)?;
-
-    let color = Codebook::fit(scene.sh_dc.as_flattened().to_vec());
-    ticker.tick(0.28)?;
-    let sh0 = out.of_rows(|row| {
-        let [r, g, b] = scene.sh_dc[row].map(|dc| color.code(dc));
-        [r, g, b, alpha_byte(scene.opacity_logit[row])]
-    });
-    sink("sh0.webp", &sh0?)?;
-    report.limit("opacity_logit", "alpha of 8 bits becomes 0 or 1", saturated(scene));
-    ticker.tick(0.3)?;
-
+    let scale = encode_shapes(&out, scene, report, ticker, sink)?;
+    let color = encode_colors(&out, scene, report, ticker, sink)?;
     let mut meta = json!({
         "version": 2,
         "count": scene.len(),
@@ -187,6 +169,46 @@ fn encode_positions(
     }
     sink("means_l.webp", &low)?;
     sink("means_u.webp", &high)
+}
+
+/// The textures of rotations and sizes; the codebook of the sizes.
+fn encode_shapes(
+    out: &Textures<'_>,
+    scene: &GaussianScene,
+    report: &mut WriteReport,
+    ticker: &mut Ticker<'_>,
+    sink: Sink<'_>,
+) -> Result<Codebook, SceneError> {
+    let scale = scale_codebook(scene, report);
+    ticker.tick(0.2)?;
+    let (quats, scales) = rayon::join(
+        || out.of_rows(|row| encode_quat(scene.quat[row])),
+        || out.of_rows(|row| scene.log_scale[row].map(|s| scale.code(s))),
+    );
+    sink("quats.webp", &quats?)?;
+    sink("scales.webp", &scales?)?;
+    ticker.tick(0.25)?;
+    Ok(scale)
+}
+
+/// The texture of colors and opacities; the codebook of the colors.
+fn encode_colors(
+    out: &Textures<'_>,
+    scene: &GaussianScene,
+    report: &mut WriteReport,
+    ticker: &mut Ticker<'_>,
+    sink: Sink<'_>,
+) -> Result<Codebook, SceneError> {
+    let color = Codebook::fit(scene.sh_dc.as_flattened().to_vec());
+    ticker.tick(0.28)?;
+    let sh0 = out.of_rows(|row| {
+        let [r, g, b] = scene.sh_dc[row].map(|dc| color.code(dc));
+        [r, g, b, alpha_byte(scene.opacity_logit[row])]
+    });
+    sink("sh0.webp", &sh0?)?;
+    report.limit("opacity_logit", "alpha of 8 bits becomes 0 or 1", saturated(scene));
+    ticker.tick(0.3)?;
+    Ok(color)
 }
 
 /// The textures of higher bands, and their description.

@@ -338,18 +338,7 @@ fn write_v4(
         .collect();
     let frames = frames.map_err(io())?;
 
-    let too_long = || SceneError::format(file.target(), "cannot hold labels of that size", "");
-    let toc = u32::try_from(V4_SIZE + records.len()).map_err(|_| too_long())?;
-    let flags = if records.is_empty() { 0 } else { EXTENSIONS };
-    let header = Header { flags, ..coder.header };
-    let mut head = header.to_bytes(coder.rows, frames.len() as u8).to_vec();
-    head.extend_from_slice(&toc.to_le_bytes());
-    head.resize(V4_SIZE, 0);
-    head.extend_from_slice(records);
-    for (block, frame) in &frames {
-        head.extend_from_slice(&(frame.len() as u64).to_le_bytes());
-        head.extend_from_slice(&coder.header.block_bytes(*block).to_le_bytes());
-    }
+    let head = v4_head(coder, records, &frames, file)?;
     let mut to = file.file();
     to.write_all(&head).map_err(io())?;
     for (_, frame) in &frames {
@@ -359,6 +348,28 @@ fn write_v4(
         }
     }
     Ok(limits)
+}
+
+/// What is before the frames: header, records, and the sizes of the frames.
+fn v4_head(
+    coder: &Coder<'_>,
+    records: &[u8],
+    frames: &[(Block, Vec<u8>)],
+    file: &AtomicFile,
+) -> Result<Vec<u8>, SceneError> {
+    let too_long = || SceneError::format(file.target(), "cannot hold labels of that size", "");
+    let toc = u32::try_from(V4_SIZE + records.len()).map_err(|_| too_long())?;
+    let flags = if records.is_empty() { 0 } else { EXTENSIONS };
+    let header = Header { flags, ..coder.header };
+    let mut head = header.to_bytes(coder.rows, frames.len() as u8).to_vec();
+    head.extend_from_slice(&toc.to_le_bytes());
+    head.resize(V4_SIZE, 0);
+    head.extend_from_slice(records);
+    for (block, frame) in frames {
+        head.extend_from_slice(&(frame.len() as u64).to_le_bytes());
+        head.extend_from_slice(&coder.header.block_bytes(*block).to_le_bytes());
+    }
+    Ok(head)
 }
 
 fn write_legacy(

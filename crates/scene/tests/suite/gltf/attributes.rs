@@ -7,7 +7,7 @@ use scenesplat_scene::value_policy::Rule;
 use serde_json::json;
 
 #[test]
-fn integers_strides_and_colors() {
+fn integers_and_strides() {
     let mut doc = Doc::new();
     // Interleaved: a position of three u16 (not normalized), 2 bytes nothing, four i8.
     let mut bytes = Vec::new();
@@ -43,7 +43,10 @@ fn integers_strides_and_colors() {
     close(&scene.log_scale[1], &[1.0f32, 2.0, 3.0].map(|v| (v / 32767.0).ln()), 1e-6);
     close(&scene.sh_dc[0], &[0.5 / SH_C0, -0.5 / SH_C0, -0.3 / SH_C0], 1e-6);
     assert_eq!(scene.opacity_logit, [f32::INFINITY, f32::NEG_INFINITY]);
+}
 
+#[test]
+fn bytes_of_colors_and_probabilities() {
     // Every byte of a color comes back, normalized or not; three channels leave alpha missing.
     let mut doc = Doc::new();
     let base = random_scene(256, 0, 7);
