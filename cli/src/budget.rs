@@ -72,7 +72,7 @@ pub struct Job<'a> {
     pub features: Option<&'a Path>,
 }
 
-/// The flags of the network with the setting that a budget chooses, if there is one, and how many neighbours vote.
+/// The flags of the network with the setting that a budget chooses, if there is one, and how many neighbors vote.
 ///
 /// # Errors
 /// If a flag contradicts the budget or the setting, there is no front, or nothing keeps what is asked for.

@@ -173,7 +173,7 @@ pub struct Inference {
     /// given.
     #[arg(long, value_name = "f32|split|bf16|int8")]
     pub precision: Option<Precision>,
-    /// Voxel size, metres; by default the one that the network was trained at.
+    /// Voxel size, meters; by default the one that the network was trained at.
     #[arg(long, value_name = "M", value_parser = parse_positive, allow_hyphen_values = true)]
     pub grid_size: Option<f64>,
     /// All that trades accuracy for time in one string, such as voxel=0.04,patch=256,k=8: voxel, net,
@@ -208,7 +208,7 @@ pub struct Inference {
     /// scene that lies otherwise than +z; judged by the scene if not given.
     #[arg(long, value_name = "AXIS", value_parser = parse_up, allow_hyphen_values = true)]
     pub up: Option<UpAxis>,
-    /// What one unit of the scene is: m, cm, mm, km or a number of metres. The network reads a scaled
+    /// What one unit of the scene is: m, cm, mm, km or a number of meters. The network reads a scaled
     /// copy; judged by the scene if not given.
     #[arg(long, value_name = "UNIT|METRES", value_parser = parse_unit)]
     pub unit: Option<f64>,
@@ -339,13 +339,13 @@ pub fn parse_height(text: &str) -> Result<f64, String> {
     }
 }
 
-/// Reads a unit of length, in metres.
+/// Reads a unit of length, in meters.
 pub fn parse_unit(text: &str) -> Result<f64, String> {
     let named = LengthUnit::ALL.into_iter().find(|unit| unit.symbol() == text);
     named
         .map(LengthUnit::metres)
         .or_else(|| text.parse().ok().filter(|m: &f64| m.is_finite() && *m > 0.0))
         .ok_or_else(|| {
-            format!("{text:?} is no unit; write mm, cm, m, km or metres, such as 0.3048")
+            format!("{text:?} is no unit; write mm, cm, m, km or meters, such as 0.3048")
         })
 }

@@ -13,9 +13,9 @@ pub struct Frame {
     pub up: UpAxis,
     /// The rotation that brings +z up and the floor level.
     pub upright: Matrix3,
-    /// What one unit of the scene is, metres.
+    /// What one unit of the scene is, meters.
     pub metres_per_unit: f64,
-    /// Height of the floor along up, metres, if --floor says it.
+    /// Height of the floor along up, meters, if --floor says it.
     pub floor: Option<f64>,
 }
 

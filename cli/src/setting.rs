@@ -10,7 +10,7 @@ use scenesplat::setting::Passes;
 use std::fmt::Display;
 use std::path::PathBuf;
 
-/// Neighbours that vote, where neither `--vote-k` nor `--setting` says how many.
+/// Neighbors that vote, where neither `--vote-k` nor `--setting` says how many.
 pub const VOTE_K: usize = 25;
 
 impl Inference {

@@ -14,12 +14,12 @@ use scenesplat::outputs::OpenedScene;
 /// What labels agree on, and how sure they have to be.
 #[derive(Debug, Clone, Copy, PartialEq, clap::Args)]
 pub struct SurfaceArgs {
-    /// Whether labels agree on smooth surfaces of one color, before neighbours vote: each Gaussian takes the class for
-    /// which its surfaces speak most, and pieces too small for their class take the label of a neighbour. auto is on
+    /// Whether labels agree on smooth surfaces of one color, before neighbors vote: each Gaussian takes the class for
+    /// which its surfaces speak most, and pieces too small for their class take the label of a neighbor. auto is on
     /// where the classes are those of the built-in vocabulary, as they are for the network inside the program.
     #[arg(long, value_name = "WHAT", default_value = "auto")]
     pub surfaces: SurfaceChoice,
-    /// Leaves Gaussians unlabelled whose best class is less probable than this, 0 to 1. Of a network whose
+    /// Leaves Gaussians unlabeled whose best class is less probable than this, 0 to 1. Of a network whose
     /// probabilities are calibrated, such as the one inside the program, with the classes of the vocabulary, or of a classifier.
     #[arg(long, value_name = "P", value_parser = parse_probability)]
     pub min_probability: Option<f32>,

@@ -1,4 +1,4 @@
-//! Rows without arithmetic: orders, voxels, pairs, neighbours.
+//! Rows without arithmetic: orders, voxels, pairs, neighbors.
 
 use super::stopwatch::time;
 use super::{Measured, Request, checks};
@@ -12,7 +12,7 @@ use scenesplat::kernels::serialization::Curve;
 use scenesplat::kernels::serialized_cloud::{CurveDepth, SerializedCloud};
 use std::collections::HashSet;
 
-/// Neighbours asked for.
+/// Neighbors asked for.
 const NEIGHBORS: usize = 25;
 
 /// Codes, order and inverse along four curves.

@@ -24,11 +24,11 @@ pub struct Classes {
     /// Classes that may not be predicted, comma-separated.
     #[arg(long, value_name = "NAMES", value_delimiter = ',')]
     pub without: Vec<String>,
-    /// Leaves Gaussians unlabelled whose best cosine (or probability, for a classifier) is below
+    /// Leaves Gaussians unlabeled whose best cosine (or probability, for a classifier) is below
     /// this.
     #[arg(long, value_name = "COS", allow_hyphen_values = true)]
     pub min_score: Option<f32>,
-    /// Leaves Gaussians unlabelled whose best cosine (or probability) leads the second by less than
+    /// Leaves Gaussians unlabeled whose best cosine (or probability) leads the second by less than
     /// this.
     #[arg(long, value_name = "COS")]
     pub min_margin: Option<f32>,

@@ -47,7 +47,7 @@ struct Line {
 /// Runs the command.
 pub fn run(args: &Args, line: &str) -> Result<()> {
     std::fs::create_dir_all(&args.out).with_context(|| args.out.display().to_string())?;
-    // The labelling takes it again.
+    // The labeling takes it again.
     drop(FolderLock::acquire(&args.out)?);
     for name in ["room.ply", "truth.png"] {
         check_replaceable(&args.out.join(name))?;
@@ -88,7 +88,7 @@ pub fn run(args: &Args, line: &str) -> Result<()> {
     let settings = PreviewSettings { title, up: UpAxis::PlusZ, ..PreviewSettings::default() };
     write_scene_preview(&room.scene, &label_colors(truth), &entries, &settings, &picture)?;
     print(&format!(
-        "{:?} with {} objects: {} of the labelled Gaussians right, f-mIoU {} on this room",
+        "{:?} with {} objects: {} of the labeled Gaussians right, f-mIoU {} on this room",
         room.kind,
         room.objects.len(),
         percent(report.all_accuracy),

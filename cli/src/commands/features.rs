@@ -15,7 +15,7 @@ use scenesplat::scene::formats::npy_writer::write_npy;
 use scenesplat_lab::compensation::Consumer;
 
 /// Writes features.npy ([N, D], one row per Gaussian of the file), features.ply and preview.png
-/// (coloured by the features' three principal components) and a receipt; with the setting codes=K
+/// (colored by the features' three principal components) and a receipt; with the setting codes=K
 /// features.npy is [N, K], and feature_axes.npy, [K, D], leads back: features · axes.
 #[derive(Debug, Clone, clap::Args)]
 pub struct Args {
@@ -78,7 +78,7 @@ const AXES: &str = "feature_axes.npy";
 /// Runs the command.
 pub fn run(args: &Args, line: &str) -> Result<()> {
     if args.inference.setting.as_ref().is_some_and(|setting| setting.k.is_some()) {
-        refuse!("--setting k: features have no labels that neighbours could vote on");
+        refuse!("--setting k: features have no labels that neighbors could vote on");
     }
     let job = Job {
         command: "features",

@@ -24,7 +24,7 @@ pub struct Labelling {
     /// Choice of classes.
     #[command(flatten)]
     pub classes: Classes,
-    /// Neighbours that vote on each label; 0 or 1 for no vote. [default: 25]
+    /// Neighbors that vote on each label; 0 or 1 for no vote. [default: 25]
     #[arg(long, value_name = "K")]
     pub vote_k: Option<usize>,
     /// Features made before instead of a network: .npy, [N, D], one row per Gaussian, such as
@@ -35,7 +35,7 @@ pub struct Labelling {
     #[command(flatten)]
     pub surfaces: SurfaceArgs,
     /// What becomes of a scene that looks like nothing the network inside the program was trained on (a garden, a
-    /// bicycle): it is labelled all the same, or stays unknown. [default: auto]
+    /// bicycle): it is labeled all the same, or stays unknown. [default: auto]
     #[arg(long, value_name = "WHAT")]
     pub strange: Option<Strange>,
     /// What is done about effects of the capture.
@@ -60,7 +60,7 @@ pub struct LabelArgs {
     /// Fewest Gaussians of an object.
     #[arg(long, value_name = "N", default_value_t = 20)]
     pub min_count: usize,
-    /// Gaussians of a class this near to each other, metres, belong together; by default 2.5 spacings of the class.
+    /// Gaussians of a class this near to each other, meters, belong together; by default 2.5 spacings of the class.
     #[arg(long, value_name = "M", value_parser = crate::flags::parse_positive)]
     pub gap: Option<f64>,
     /// What labels it otherwise.
@@ -93,7 +93,7 @@ pub struct Labelled {
     pub features: Option<(SceneFeatures, TextTable)>,
     /// Whether the classes are those of the network inside the program.
     pub is_vocabulary: bool,
-    /// Whether that network labelled it.
+    /// Whether that network labeled it.
     pub is_own: bool,
     /// What to add to a title where the result means nothing.
     pub remark: &'static str,
@@ -194,7 +194,7 @@ impl Labelling {
         let mut found = {
             let _stage = session.receipt.stage("labels");
             let k = self.vote_k.unwrap_or(VOTE_K);
-            session.receipt.setting("vote_k", k, "neighbours that vote on each label");
+            session.receipt.setting("vote_k", k, "neighbors that vote on each label");
             let agreement = agreeing.agreement();
             label_agreeing_with_vote(&features, classes, &options, &agreement, &scene.coord, k)?
         };

@@ -101,7 +101,7 @@ enum Command {
     Bench(bench::Args),
     /// Runs hard cases on this machine: damaged files, numbers at the edge, operators against f64.
     Doctor(doctor::Args),
-    /// Measures what accuracy costs in time: a grid of settings on labelled scenes.
+    /// Measures what accuracy costs in time: a grid of settings on labeled scenes.
     Pareto(pareto::Args),
     /// One setting, in this process: what `pareto` starts itself with.
     #[command(hide = true)]

@@ -113,7 +113,7 @@ pub fn summary(found: &Catalogue) -> String {
         _ => "the lowest Gaussians",
     };
     format!(
-        "{} objects: {}; {} labelled Gaussians in no object{}; heights are over {floor}",
+        "{} objects: {}; {} labeled Gaussians in no object{}; heights are over {floor}",
         found.objects.len(),
         if each.is_empty() { "none".to_owned() } else { each.join(", ") },
         found.left_over,

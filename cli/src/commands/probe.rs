@@ -199,7 +199,7 @@ pub fn run(args: &Args) -> Result<()> {
 /// Prints the table.
 fn tell(report: &ProbeReport) {
     print(&format!(
-        "{} classes; learned from {} of {} labelled voxels of {} scenes, scored on {} scenes",
+        "{} classes; learned from {} of {} labeled voxels of {} scenes, scored on {} scenes",
         report.classes,
         report.learned_rows,
         report.labelled_rows,

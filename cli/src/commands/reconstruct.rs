@@ -25,7 +25,7 @@ const FOV: f64 = 75.0;
 /// in reconstruction.json.
 ///
 /// The run has the term masked_gaussians. The network reads a Gaussian a voxel; all Gaussians of a masked
-/// voxel get what is reconstructed for it, where they are. Colours do not depend on the direction.
+/// voxel get what is reconstructed for it, where they are. Colors do not depend on the direction.
 #[derive(Debug, clap::Args)]
 pub struct Args {
     /// The folder of the run, as `train --out` left it: heads are in its checkpoints, not in model/.
@@ -48,7 +48,7 @@ pub struct Args {
     /// Which way is up in the scene; judged by the scene if not given.
     #[arg(long, value_name = "AXIS", value_parser = parse_up, allow_hyphen_values = true)]
     pub up: Option<UpAxis>,
-    /// What one unit of the scene is: m, cm, mm, km or a number of metres; judged by the scene if not
+    /// What one unit of the scene is: m, cm, mm, km or a number of meters; judged by the scene if not
     /// given.
     #[arg(long, value_name = "UNIT|METRES", value_parser = parse_unit)]
     pub unit: Option<f64>,

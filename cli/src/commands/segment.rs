@@ -12,7 +12,7 @@ use anyhow::Result;
 use scenesplat::objects::ObjectSettings;
 use scenesplat::outputs::{ResultColumns, label_colors, legend, write_colored_ply};
 
-/// Writes labels.npy, scores.npy, segmented.ply (class colours, label and score columns),
+/// Writes labels.npy, scores.npy, segmented.ply (class colors, label and score columns),
 /// classes.json, preview.png and a receipt.
 #[derive(Debug, Clone, clap::Args)]
 pub struct Args {

@@ -13,7 +13,7 @@ use std::path::PathBuf;
 /// Does to a scene what a bad capture would have done: writes simulated.ply, source_rows.npy (the row
 /// of the file that each Gaussian comes from, −1 for added ones), preview.png and a receipt.
 ///
-/// Lengths are metres. Language features have no place in a PLY file; codes go along.
+/// Lengths are meters. Language features have no place in a PLY file; codes go along.
 #[derive(Debug, clap::Args)]
 pub struct Args {
     /// The scene, in any format.

@@ -75,7 +75,7 @@ fn setting(remark: &Remark) -> Option<(&'static str, String, &'static str)> {
             "the network read a copy turned from this up to +z; files keep theirs",
         ),
         Remark::Scaled { by } => {
-            ("unit", by.to_string(), "metres per unit; the network read a copy in metres")
+            ("unit", by.to_string(), "meters per unit; the network read a copy in meters")
         }
         Remark::Leveled { tilt } => (
             "leveled",
@@ -90,7 +90,7 @@ fn setting(remark: &Remark) -> Option<(&'static str, String, &'static str)> {
         Remark::ScaledToRoom { by, .. } => (
             "unit",
             format!("{by:.4}"),
-            "metres per unit, by the height of the walls; the network read a copy in metres",
+            "meters per unit, by the height of the walls; the network read a copy in meters",
         ),
         Remark::UpUnclear { .. } | Remark::UnitUnclear { .. } => return None,
     };

@@ -46,12 +46,12 @@ impl FeatureSource {
 }
 
 impl Session<'_> {
-    /// Reads a scene as a network's flags say; a labelled point cloud is turned into Gaussians.
+    /// Reads a scene as a network's flags say; a labeled point cloud is turned into Gaussians.
     pub fn open(&self, path: &Path, inference: &Inference) -> Result<OpenedScene> {
         self.open_with(path, &inference.source.options())
     }
 
-    /// Reads a scene, reports what was wrong with it, and records it; a labelled point cloud is turned into
+    /// Reads a scene, reports what was wrong with it, and records it; a labeled point cloud is turned into
     /// Gaussians.
     pub fn open_with(&self, path: &Path, options: &ReadOptions) -> Result<OpenedScene> {
         let _stage = self.receipt.stage("read");
@@ -64,7 +64,7 @@ impl Session<'_> {
         Ok(opened)
     }
 
-    /// Reads a scene without a report of its values; a labelled point cloud is turned into Gaussians.
+    /// Reads a scene without a report of its values; a labeled point cloud is turned into Gaussians.
     pub fn read(&self, path: &Path, options: &ReadOptions) -> Result<OpenedScene> {
         self.outputs.reads(path)?;
         self.progress.say(format!("reading {}", path.display()));

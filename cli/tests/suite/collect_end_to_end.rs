@@ -1,6 +1,6 @@
-//! From a scene to a network without any weights: pictures, segments, colours as features, lifted, learned from, scored.
+//! From a scene to a network without any weights: pictures, segments, colors as features, lifted, learned from, scored.
 //!
-//! A room whose classes differ in colour, so that a class has a "text": the row of its colour. With
+//! A room whose classes differ in color, so that a class has a "text": the row of its color. With
 //! `SCENESPLAT_COLLECT=full` the room, the 60 pictures and the training are those of docs/collect_labels.md.
 
 use crate::support::*;
@@ -40,7 +40,7 @@ fn size() -> Size {
     }
 }
 
-/// Colours that lie far apart in L*a*b*-like terms: of a grid each time the one farthest from those before.
+/// Colors that lie far apart in L*a*b*-like terms: of a grid each time the one farthest from those before.
 fn palette(count: usize) -> Vec<[u8; 3]> {
     let steps = [50u8, 115, 180, 245];
     let all: Vec<[u8; 3]> =
@@ -80,7 +80,7 @@ impl TileVisitor for Heaviest {
     }
 }
 
-/// Per pixel the object of its heaviest Gaussian as a grey picture of 16 bits; 65535 is none.
+/// Per pixel the object of its heaviest Gaussian as a gray picture of 16 bits; 65535 is none.
 fn mask(gaussians: &Gaussians, object: &[i32], view: &View) -> Picture {
     let settings = RasterSettings::default();
     let projected = project(gaussians, view, &settings).unwrap();

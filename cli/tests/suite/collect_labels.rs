@@ -156,7 +156,7 @@ fn a_run_that_was_killed_anywhere_goes_on_to_the_same_bits() {
     }
 }
 
-/// Grey maps of the left and the right half.
+/// Gray maps of the left and the right half.
 fn masks(world: &World, name: &str, samples: impl Fn(Vec<u16>) -> Samples) {
     for i in 0..COUNT {
         let ids = (0..80 * 60).map(|at| if at % 80 < 40 { 7 } else { 200 }).collect();

@@ -155,7 +155,7 @@ fn query_selects_and_says_what_to_do_about_unknown_names() {
     let selected = || npy(case.out("q/selection.npy")).read_u8().unwrap();
     let count = || selected().iter().filter(|s| **s == 1).count();
     let said = printed(&query("Floor", &format!("--text {texts}")));
-    has(&said, &["of 16000 Gaussians, centre"]);
+    has(&said, &["of 16000 Gaussians, center"]);
     let (found, mut scores) = (selected(), floats(case.out("q/scores.npy")));
     let mean = |want: u8| {
         let of = scores.iter().zip(&found).filter(|(_, s)| **s == want).map(|(v, _)| *v);

@@ -57,7 +57,7 @@ fn means_over_a_folder() {
 }
 
 /// A gray JPEG of 32 × 24 pixels, all 51: twelve blocks, the first −77 off the middle, the others as
-/// the one before. A short file: quantisation by 8, one code for each table that is used.
+/// the one before. A short file: quantization by 8, one code for each table that is used.
 fn jpeg() -> Vec<u8> {
     let mut out = vec![0xff, 0xd8, 0xff, 0xdb, 0, 67, 0];
     out.extend([8; 64]);

@@ -87,7 +87,7 @@ fn outliers_at_a_kilometre() {
         }
         (rows.len(), Some(42))
     });
-    // In one place they have neighbours; and one alone is enough.
+    // In one place they have neighbors; and one alone is enough.
     planted("outliers", |scene| {
         for row in (42..scene.len()).step_by(100) {
             scene.coord[row] = [1000.0, 0.0, 0.0];
@@ -129,7 +129,7 @@ fn millimetres_instead_of_metres() {
     let unit = seen.unit.unwrap();
     assert!(unit.unit == LengthUnit::Millimetre && unit.confidence > 0.8, "{unit:?}");
     assert!(seen.findings[0].help.contains("by 0.001"));
-    // The other way round: kilometres.
+    // The other way round: kilometers.
     planted("unit", |scene| {
         scene.coord.iter_mut().flatten().for_each(|v| *v /= 1000.0);
         scene.log_scale.iter_mut().flatten().for_each(|v| *v -= 1000f32.ln());
@@ -190,7 +190,7 @@ fn rows_that_stand_twice() {
         *scene = scene.select_rows(&rows).unwrap();
         (copies, Some(n))
     });
-    // The same places in other colours are nothing to complain about.
+    // The same places in other colors are nothing to complain about.
     let mut scene = room();
     for row in 0..1000 {
         scene.coord[row] = scene.coord[row + 10_000];

@@ -91,7 +91,7 @@ fn boxes_are_level_in_a_room_that_is_not_and_heights_begin_at_a_given_floor() {
     let (other, _) = run("tilted.ply", "tilted", "");
     let (a, b) = (level["objects"].as_array().unwrap(), other["objects"].as_array().unwrap());
     assert_eq!(a.len(), b.len());
-    // 7 degrees of tilt would make a floor of 4 m half a metre thick.
+    // 7 degrees of tilt would make a floor of 4 m half a meter thick.
     let size = |o: &Value, axis: usize| o["box"]["size"][axis].as_f64().unwrap();
     for (a, b) in a.iter().zip(b) {
         assert!((size(a, 2) - size(b, 2)).abs() < 0.06, "{a} {b}");

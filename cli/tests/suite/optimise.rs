@@ -134,7 +134,7 @@ fn drifting_exposure_is_learned() {
     assert_eq!(run("drift", "--exposure off")["on"], false);
 }
 
-/// Cameras side by side that look along +z, and their grey pictures with a white square.
+/// Cameras side by side that look along +z, and their gray pictures with a white square.
 fn shots(folder: &Folder, name: &str, count: u32, step: f64, grow: [u32; 2], color: u8) -> String {
     let shot = |i: u32| {
         let [width, height] = [40 + grow[0] * i, 30 + grow[1] * i];

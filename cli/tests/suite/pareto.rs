@@ -93,7 +93,7 @@ fn are_whole(all: &[Value]) {
             assert_eq!(own.unwrap()["prediction_hash"], record["prediction_hash"]);
         }
     }
-    // Even the truth loses small objects to the vote of its neighbours, in rooms as sparse as these.
+    // Even the truth loses small objects to the vote of its neighbors, in rooms as sparse as these.
     let best =
         |kind: &str| of(kind).iter().map(|r| r["miou"].as_f64().unwrap()).fold(0.0, f64::max);
     assert!(best("oracle") > 0.5 && best("oracle") > best("setting") && best("random") < 0.2);

@@ -80,7 +80,7 @@ fn a_scan_becomes_a_folder_and_its_points_go_to_chunks() {
     }
     let (scenes, cut) = (world.0.at("out/val"), world.0.at("val_chunk"));
     let said = told(&run!("prepare chunks {scenes} {cut} --filtered 0.5"));
-    has(&said, &["2 of 2 chunks have labelled points"]);
+    has(&said, &["2 of 2 chunks have labeled points"]);
     assert_eq!(labels(chunks.join("scene0001_00_0/pc_segment20.npy")), [4]);
     let filtered = world.0.path("val_chunk_filtered");
     assert!(filtered.join("scene0001_00_0/pc_coord.npy").is_file());

@@ -66,7 +66,7 @@ fn color_and_depth_of_a_sphere() {
     assert_eq!(picture.get(0, 0).unwrap(), [0; 3]);
     // The front one weighs 0.99, the one behind it what is left.
     let depth = read_picture(&place.0.path("out/depth/left.png")).unwrap().into_samples();
-    let Samples::Sixteen(depth) = depth else { panic!("depth is 16-bit grey") };
+    let Samples::Sixteen(depth) = depth else { panic!("depth is 16-bit gray") };
     assert_eq!((depth.len(), depth[0]), (48 * 32, 0));
     assert!((2000..2030).contains(&depth[16 * 48 + 24]), "{:?}", depth[16 * 48 + 24]);
     assert!(place.0.path("out/depth_color/left.png").exists());

@@ -238,7 +238,7 @@ fn what_is_not_known_is_said() {
     assert_eq!(odd.nearest[0].class.about().name, "chair");
 }
 
-/// Each name with two neighbouring letters swapped: what a hurried hand types.
+/// Each name with two neighboring letters swapped: what a hurried hand types.
 #[test]
 fn typing_errors_are_understood() {
     let (reader, words) = (PhraseReader::new(None).unwrap(), embedded::vocabulary().unwrap());

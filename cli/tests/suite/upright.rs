@@ -1,4 +1,4 @@
-//! A room that lies on its side, or is in millimetres, gets the labels of the upright one, in every
+//! A room that lies on its side, or is in millimeters, gets the labels of the upright one, in every
 //! command that runs a network.
 
 use crate::support::*;

@@ -26,7 +26,7 @@ pub(crate) const PLANE: f32 = 0.02;
 pub(crate) struct Surface {
     /// `[H, W]`; z is 0 where depth is not known.
     pub(crate) points: Vec<Vec3>,
-    /// Unit, towards the camera; 0 where it is not known. `[H, W]`
+    /// Unit, toward the camera; 0 where it is not known. `[H, W]`
     pub(crate) normals: Vec<Vec3>,
 }
 
@@ -113,7 +113,7 @@ mod tests {
     #[test]
     fn a_slanted_plane_has_its_normal_everywhere() {
         let view = view(32, 24);
-        // n · p = −2 with n towards the camera.
+        // n · p = −2 with n toward the camera.
         let n = Vec3::new(0.3, -0.2, -1.0).normalize();
         let ray = |at: usize| {
             let x = ((at % 32) as f32 + 0.5 - view.cx) / view.fx;

@@ -8,18 +8,18 @@ use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::{RngCore, SeedableRng};
 use std::collections::HashSet;
 
-/// Side of a voxel, metres.
+/// Side of a voxel, meters.
 pub const VOXEL: f32 = 0.02;
-/// Side of the cells that are sorted along curves, metres: 11 bits an axis for a million points.
+/// Side of the cells that are sorted along curves, meters: 11 bits an axis for a million points.
 const FINE_CELL: f32 = 0.003;
-/// Standard deviation of the distance of a point from its surface, metres. With it and the density
+/// Standard deviation of the distance of a point from its surface, meters. With it and the density
 /// below, a voxel has 14 occupied voxels in the 3³ around it, as in the scans the networks read.
 const NOISE: f32 = 0.008;
-/// Occupied voxels per square metre of surface.
+/// Occupied voxels per square meter of surface.
 const VOXELS_PER_M2: f32 = 3650.0;
-/// Points per square metre that occupy so many voxels, two a voxel.
+/// Points per square meter that occupy so many voxels, two a voxel.
 const POINTS_PER_M2: f32 = 6850.0;
-/// Keeps noise on the walls above zero, metres.
+/// Keeps noise on the walls above zero, meters.
 const MARGIN: f32 = 0.1;
 
 /// `n` distinct voxels in random order, indices from 0. `[n, 3]`
@@ -37,7 +37,7 @@ pub fn voxels(n: usize) -> Vec<[i32; 3]> {
     out
 }
 
-/// `n` points on the surfaces of a room, metres, in random order. `[n, 3]`
+/// `n` points on the surfaces of a room, meters, in random order. `[n, 3]`
 pub fn points(n: usize) -> Vec<[f32; 3]> {
     let mut room = Room::new(n, n as f32 / POINTS_PER_M2);
     (0..n).map(|_| room.point()).collect()
@@ -80,7 +80,7 @@ struct Room {
 }
 
 impl Room {
-    /// A room with boxes on its floor that has `area` square metres of surface; `n`, the number of
+    /// A room with boxes on its floor that has `area` square meters of surface; `n`, the number of
     /// rows wanted of it, decides how many boxes.
     fn new(n: usize, area: f32) -> Self {
         let mut rng = ChaCha8Rng::seed_from_u64(2);

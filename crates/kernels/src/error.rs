@@ -55,7 +55,7 @@ pub enum KernelError {
         help: &'static str,
     },
     /// A voxel size that is not a positive finite number.
-    #[error("grid size {0}: must be positive and finite (metres)")]
+    #[error("grid size {0}: must be positive and finite (meters)")]
     GridSize(f64),
 }
 

@@ -16,7 +16,7 @@ use serde::Serialize;
 const SPACING_SAMPLE: usize = 4000;
 /// Gaps within an object, in spacings of its class.
 const GAP_SPACINGS: f64 = 2.5;
-/// Least and largest gap, metres.
+/// Least and largest gap, meters.
 const GAPS: [f64; 2] = [0.04, 0.25];
 /// A normal is level within this cosine, and a piece stands when this share of its normals is.
 const UPRIGHT: f32 = 0.35;
@@ -37,7 +37,7 @@ pub struct Object {
     pub score: Option<f64>,
     /// Number of its Gaussians.
     pub count: usize,
-    /// The box around it; metres, upright frame (+z is up).
+    /// The box around it; meters, upright frame (+z is up).
     #[serde(rename = "upright_box")]
     pub bounds: UprightBox,
     /// Middle of the box, in the frame and unit of the scene.
@@ -46,9 +46,9 @@ pub struct Object {
     pub corners: [[f64; 3]; 8],
     /// Volume of the box, m³.
     pub volume: f64,
-    /// Height of its lowest part over the floor, metres.
+    /// Height of its lowest part over the floor, meters.
     pub above_floor: f64,
-    /// Distance from the nearest wall, metres; `None` for walls and where there are none.
+    /// Distance from the nearest wall, meters; `None` for walls and where there are none.
     pub wall_distance: Option<f64>,
     /// Its Gaussians, rising.
     #[serde(skip)]
@@ -62,7 +62,7 @@ pub struct Catalogue {
     pub objects: Vec<Object>,
     /// Where heights are measured from.
     pub floor: Floor,
-    /// Labelled Gaussians in pieces too small to be objects.
+    /// Labeled Gaussians in pieces too small to be objects.
     pub left_over: usize,
     /// Instances that the scene carries and that are no objects, for they have too few Gaussians.
     pub small_instances: usize,
@@ -72,7 +72,7 @@ pub struct Catalogue {
     pub gaussians: usize,
 }
 
-/// Finds the objects of a labelled scene.
+/// Finds the objects of a labeled scene.
 ///
 /// Where instances are given, each is an object, of the class that most of its Gaussians have. Else
 /// an object is a piece of one class that hangs together in space and feature; pieces along lines in
@@ -127,7 +127,7 @@ pub fn find_objects(input: &ObjectInput<'_>, settings: &ObjectSettings) -> Resul
     })
 }
 
-/// The labelled Gaussians of each class that have a place.
+/// The labeled Gaussians of each class that have a place.
 fn rows_by_class(input: &ObjectInput<'_>, coord: &[[f32; 3]]) -> Vec<Vec<u32>> {
     let mut by_class: Vec<Vec<u32>> = vec![Vec::new(); input.names.len()];
     for (row, (&label, c)) in (0u32..).zip(input.labels.iter().zip(coord)) {

@@ -34,7 +34,7 @@ struct Cell {
     center: DVec3,
 }
 
-/// Pieces of rows in which each cell is within `gap` metres of another. Cells whose mean features have a
+/// Pieces of rows in which each cell is within `gap` meters of another. Cells whose mean features have a
 /// cosine below `min_similarity` are not joined. Pieces come by their first row, rows rise.
 ///
 /// `rows`: rising, of finite `coord` `[N, 3]`.

@@ -23,7 +23,7 @@ pub enum ObjectError {
     Label {
         /// Row of the Gaussian.
         row: usize,
-        /// What it is labelled.
+        /// What it is labeled.
         label: i32,
         /// Names that there are.
         names: usize,
@@ -38,7 +38,7 @@ pub enum ObjectError {
         /// What would be right.
         expected: &'static str,
     },
-    /// Positions that have no neighbours.
+    /// Positions that have no neighbors.
     #[error(transparent)]
     Neighbors(#[from] NeighborError),
 }

@@ -7,13 +7,13 @@ use crate::upright_box::UprightBox;
 const SMALL: f64 = 0.35;
 /// Fragments join over so many gaps in plan.
 const REACH: f64 = 2.5;
-/// Parts above each other join over this height, metres: a seat and its legs, a shade and its foot.
+/// Parts above each other join over this height, meters: a seat and its legs, a shade and its foot.
 const STACK: f64 = 0.35;
 /// Part of the smaller plan that must lie over the larger one.
 const OVER: f64 = 0.6;
-/// Halves of one thing hang in one plane, as high, and at most so far apart, metres.
+/// Halves of one thing hang in one plane, as high, and at most so far apart, meters.
 const PAIR: f64 = 2.2;
-/// What hangs in a plane is at most so thick and at least so high, metres.
+/// What hangs in a plane is at most so thick and at least so high, meters.
 const THIN: f64 = 0.3;
 const HIGH: f64 = 0.8;
 
@@ -79,7 +79,7 @@ fn gathered(pieces: Vec<Vec<u32>>, joined: &mut Joined) -> Vec<Vec<u32>> {
     out
 }
 
-/// Two sides of one wall are so near, metres, and so long and high at least.
+/// Two sides of one wall are so near, meters, and so long and high at least.
 const WALL: f64 = 0.2;
 const WALL_LONG: f64 = 1.0;
 

@@ -25,9 +25,9 @@ pub struct ObjectInput<'a> {
     pub names: &'a [String],
     /// The rotation that brings +z up: its rows are the axes of the upright frame.
     pub upright: Matrix3,
-    /// What one unit of the scene is, metres.
+    /// What one unit of the scene is, meters.
     pub metres_per_unit: f64,
-    /// Height of the floor along up, metres, where it is known; else it is looked for.
+    /// Height of the floor along up, meters, where it is known; else it is looked for.
     pub floor: Option<f64>,
 }
 
@@ -52,12 +52,12 @@ impl ObjectInput<'_> {
         check_setting(floor.is_finite(), "floor", floor, "a finite height, metres")
     }
 
-    /// Positions in metres with +z up.
+    /// Positions in meters with +z up.
     pub(crate) fn upright(&self) -> Vec<[f32; 3]> {
         upright(&self.scene.coord, &self.upright, self.metres_per_unit)
     }
 
-    /// A place of the upright frame, metres, in the frame and unit of the scene.
+    /// A place of the upright frame, meters, in the frame and unit of the scene.
     pub(crate) fn to_scene(self, p: [f64; 3]) -> [f64; 3] {
         let place = DMat3::from_cols_array_2d(&self.upright) * DVec3::from(p);
         // Adding 0 makes no −0 of a product with 0.
@@ -82,7 +82,7 @@ impl ObjectInput<'_> {
     }
 }
 
-/// Places in metres with +z up.
+/// Places in meters with +z up.
 pub(crate) fn upright(coord: &[[f32; 3]], turn: &Matrix3, metres_per_unit: f64) -> Vec<[f32; 3]> {
     let place = |c: &[f32; 3]| {
         let c = DVec3::from(c.map(f64::from)) * metres_per_unit;

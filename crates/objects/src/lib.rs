@@ -1,4 +1,4 @@
-//! Objects of a labelled scene of 3D Gaussians: which there are, their boxes and places.
+//! Objects of a labeled scene of 3D Gaussians: which there are, their boxes and places.
 //!
 //! [`find_objects`] takes labels (and, where there are some, features or known instances) and gives a
 //! [`Catalogue`]; [`table`] writes it as JSON, CSV or Markdown, [`relations`] answers "the lamp on

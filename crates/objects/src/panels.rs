@@ -4,20 +4,20 @@ use crate::cells::distinct;
 use crate::upright_box::UprightBox;
 use glam::DVec2;
 
-/// No row of boxes is longer or higher, metres; strays far out lie in one cell and are one piece.
+/// No row of boxes is longer or higher, meters; strays far out lie in one cell and are one piece.
 const FARTHEST: f64 = 1000.0;
-/// Width of the bins along the piece, metres.
+/// Width of the bins along the piece, meters.
 const BIN: f64 = 0.02;
 /// A Gaussian faces along the piece within this cosine.
 const FACING: f32 = 0.85;
-/// Panels are at least so far apart, metres.
+/// Panels are at least so far apart, meters.
 const APART: f64 = 0.38;
 /// Parts are alike: the emptiest has at least this share of the surface of the fullest, for its length. The knees of a
 /// desk and its drawers are not.
 const ALIKE: f64 = 0.5;
 /// Part of its cross-section that a panel must cover.
 const COVER: f64 = 0.3;
-/// Cells of the cross-section, metres.
+/// Cells of the cross-section, meters.
 const CELL: f64 = 0.08;
 
 /// The parts of a piece between panels that cross it, at least two; `None` for anything else.

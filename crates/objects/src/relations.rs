@@ -15,7 +15,7 @@ pub enum Relation {
     Under,
     /// Within its box.
     In,
-    /// Within a metre, of those of its class the nearest first.
+    /// Within a meter, of those of its class the nearest first.
     Near,
 }
 
@@ -36,9 +36,9 @@ const WORDS: [(&str, Relation); 13] = [
     ("on", Relation::On),
 ];
 
-/// Rests on: the lower face is so near to a face of the other, metres.
+/// Rests on: the lower face is so near to a face of the other, meters.
 const REST: f64 = 0.12;
-/// Near: at most so far apart, metres.
+/// Near: at most so far apart, meters.
 const NEAR: f64 = 1.0;
 
 /// A question such as "the lamp on the desk", in its parts.
@@ -104,7 +104,7 @@ fn is_article(word: &str) -> bool {
     ["the", "a", "an"].contains(&word)
 }
 
-/// How far from the ideal of a relation two objects are, metres; `None` where it does not hold.
+/// How far from the ideal of a relation two objects are, meters; `None` where it does not hold.
 pub fn distance(a: &Object, b: &Object, relation: Relation) -> Option<f64> {
     let (x, y) = (&a.bounds, &b.bounds);
     let ([a_low, a_high], [b_low, b_high]) = (x.heights(), y.heights());

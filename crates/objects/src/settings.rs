@@ -3,7 +3,7 @@
 use crate::error::{Result, check_setting};
 use serde::Serialize;
 
-/// What is taken for one object; lengths in metres.
+/// What is taken for one object; lengths in meters.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct ObjectSettings {
     /// Fewest Gaussians of an object, at least 1.
@@ -11,7 +11,7 @@ pub struct ObjectSettings {
     /// Gaussians of a class this near to each other belong together; by default 2.5 times the
     /// spacing of the class, 0.04 to 0.25.
     pub gap: Option<f64>,
-    /// Neighbouring cells whose mean features have a lower cosine are different objects; −1 joins whatever
+    /// Neighboring cells whose mean features have a lower cosine are different objects; −1 joins whatever
     /// touches.
     pub min_similarity: f32,
     /// Whether pieces are split along walls and panels, and fragments joined.
@@ -40,7 +40,7 @@ impl ObjectSettings {
         let (count, gap, cosine) = (self.min_count, self.gap, self.min_similarity);
         check_setting(count > 0, "min_count", count, "a number above 0")?;
         let fits = gap.is_none_or(|gap| (1e-3..=10.0).contains(&gap));
-        check_setting(fits, "gap", gap.unwrap_or_default(), "0.001 to 10 metres")?;
+        check_setting(fits, "gap", gap.unwrap_or_default(), "0.001 to 10 meters")?;
         let fits = (-1.0..=1.0).contains(&cosine);
         check_setting(fits, "min_similarity", cosine, "a cosine, -1 to 1")
     }

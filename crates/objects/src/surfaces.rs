@@ -1,6 +1,6 @@
 //! Smooth surfaces of one color, each of which is part of one thing: what labels can agree on.
 //!
-//! A graph of cells, joined from the most alike neighbours on for as long as a join is no worse than what the two
+//! A graph of cells, joined from the most alike neighbors on for as long as a join is no worse than what the two
 //! parts have inside (Felzenszwalb & Huttenlocher, *Efficient Graph-Based Image Segmentation*, IJCV 2004). Cells
 //! differ by the angle of their surfaces and by color; nothing is read of labels or features.
 
@@ -23,7 +23,7 @@ use serde::Serialize;
 /// The surface of Gaussians without a place: none.
 pub const NO_SURFACE: u32 = u32::MAX;
 
-/// What is taken for one surface; lengths in metres.
+/// What is taken for one surface; lengths in meters.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct SurfaceSettings {
     /// Size of the cells whose means are compared, 0.001 to 10.
@@ -47,7 +47,7 @@ impl Default for SurfaceSettings {
 impl SurfaceSettings {
     fn check(&self) -> Result<()> {
         let (cell, color) = (self.cell, self.color);
-        check_setting((1e-3..=10.0).contains(&cell), "cell", cell, "0.001 to 10 metres")?;
+        check_setting((1e-3..=10.0).contains(&cell), "cell", cell, "0.001 to 10 meters")?;
         let fits = color >= 0.0 && color.is_finite();
         check_setting(fits, "color", color, "a finite number from 0")?;
         check_setting(!self.scales.is_empty(), "scales", 0, "one at least")?;
@@ -75,16 +75,16 @@ pub struct SceneSurfaces {
     pub scales: Vec<Surfaces>,
     /// Cell of each Gaussian, or [`NO_SURFACE`]. `[N]`
     cell_of: Vec<u32>,
-    /// How much surface each cell stands for, square metres.
+    /// How much surface each cell stands for, square meters.
     area: Vec<f32>,
     /// Cells that touch, each pair once.
     touching: Vec<[u32; 2]>,
 }
 
 impl SceneSurfaces {
-    /// How much surface there is of each thing, square metres: that of its cells, of which each thing in one has
+    /// How much surface there is of each thing, square meters: that of its cells, of which each thing in one has
     /// its part by Gaussians. `thing`: of each Gaussian, which below `count`, or −1. About the same for sparse and
-    /// dense scenes: a cell stands for what is between it and its neighbours, up to 12.5 cm away for cells of 5 cm.
+    /// dense scenes: a cell stands for what is between it and its neighbors, up to 12.5 cm away for cells of 5 cm.
     ///
     /// # Errors
     /// If things and Gaussians differ in number.
@@ -106,7 +106,7 @@ impl SceneSurfaces {
     }
 }
 
-/// Neighbours that cells are joined with, and that their angle is from.
+/// Neighbors that cells are joined with, and that their angle is from.
 const EDGES: usize = 8;
 const PLANE: usize = 12;
 
@@ -119,7 +119,7 @@ const NEAR: f64 = 2.6;
 /// Gaussians whose place or color is not finite have none. The same for any number of threads.
 ///
 /// # Shapes
-/// `coord`: `[N, 3]` metres · `color`: `[N, 3]`, 0 to 1
+/// `coord`: `[N, 3]` meters · `color`: `[N, 3]`, 0 to 1
 ///
 /// # Errors
 /// If `coord` and `color` differ in number, or a setting is out of range.
@@ -218,7 +218,7 @@ impl Cells {
         cells
     }
 
-    /// Neighbouring cells and how much they differ, the most alike first; and how much surface each cell stands for.
+    /// Neighboring cells and how much they differ, the most alike first; and how much surface each cell stands for.
     fn edges(&self, settings: &SurfaceSettings) -> Result<(Vec<Edge>, Vec<f32>)> {
         let tree = KdTree::new(&self.center)?;
         let within = |near: f64| (near * self.size) * (near * self.size);
@@ -232,7 +232,7 @@ impl Cells {
                 let normal = normal(close.map(|n| self.center[n.row as usize]));
                 let beside = found.iter().take(EDGES + 1);
                 let beside = beside.filter(|n| n.distance_squared < touch).map(|n| n.row);
-                // Of a plane with so many cells a square metre the k-th nearest is as far as a circle for k of them.
+                // Of a plane with so many cells a square meter the k-th nearest is as far as a circle for k of them.
                 let last = found[..found.len().min(EDGES + 1)].last();
                 let reach = last.map_or(touch, |n| n.distance_squared.min(touch));
                 let area = (std::f64::consts::PI * reach / EDGES as f64) as f32;
@@ -545,7 +545,7 @@ mod tests {
             let some: Vec<_> = rows().map(|row| points[row]).collect();
             let owner: Vec<i32> = rows().map(|row| owner[row]).collect();
             let areas = whole(&some, &SurfaceSettings::default()).areas(&owner, 2).unwrap();
-            // A square metre each; borders stand for somewhat more.
+            // A square meter each; borders stand for somewhat more.
             assert!((1.6..2.6).contains(&areas[0]), "every {step}th: {areas:?}");
             assert!((0.8..1.3).contains(&areas[1]), "every {step}th: {areas:?}");
         }

@@ -24,21 +24,21 @@ pub fn is_kind(class: &str, kind: &str) -> bool {
 /// Where the floor is.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct Floor {
-    /// Its height along up, metres.
+    /// Its height along up, meters.
     pub height: f64,
-    /// Whether Gaussians labelled as floor say so, rather than the lowest ones.
+    /// Whether Gaussians labeled as floor say so, rather than the lowest ones.
     pub is_labelled: bool,
     /// Whether it was known before.
     pub is_given: bool,
 }
 
 impl Floor {
-    /// A floor of known height, metres.
+    /// A floor of known height, meters.
     pub(crate) fn given(height: f64) -> Self {
         Self { height, is_labelled: false, is_given: true }
     }
 
-    /// The middle of what is labelled floor, or of the lowest percent of all. `coord`: upright.
+    /// The middle of what is labeled floor, or of the lowest percent of all. `coord`: upright.
     pub(crate) fn find(coord: &[[f32; 3]], labelled: &[u32]) -> Self {
         let middle = |mut heights: Vec<f32>, share: f64| {
             let at = ((heights.len().max(1) - 1) as f64 * share) as usize;
@@ -70,7 +70,7 @@ impl Walls {
         Ok(Self(Some(KdTree::new(&places)?)))
     }
 
-    /// Least distance of some rows from a wall, metres; `None` without walls.
+    /// Least distance of some rows from a wall, meters; `None` without walls.
     pub(crate) fn distance(&self, coord: &[[f32; 3]], rows: &[u32]) -> Option<f64> {
         let tree = self.0.as_ref()?;
         let step = rows.len().div_ceil(OBJECT_ROWS).max(1);

@@ -7,7 +7,7 @@ use std::fmt::Write;
 /// A catalogue as JSON: `gaussians`, `left_over`, `small_instances`, `nameless_instances`, `floor`, and `objects` with id, class, score, count,
 /// box (center, size, yaw, corners), volume, position, above_floor and wall_distance.
 ///
-/// `position`, `center` and `corners` are in the frame and unit of the scene, all else in metres,
+/// `position`, `center` and `corners` are in the frame and unit of the scene, all else in meters,
 /// radians about up.
 pub fn json(catalogue: &Catalogue) -> Value {
     let objects: Vec<Value> = catalogue.objects.iter().map(object).collect();

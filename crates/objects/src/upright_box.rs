@@ -3,7 +3,7 @@
 use glam::DVec2;
 use serde::Serialize;
 
-/// An upright box in metres; +z is up.
+/// An upright box in meters; +z is up.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct UprightBox {
     /// Middle.
@@ -21,7 +21,7 @@ impl UprightBox {
     /// The box of least area in plan around most of some rows: 0.5 % at each end of each side may be
     /// outside. `None` without rows.
     ///
-    /// `coord`: metres, +z up, finite. `[N, 3]`
+    /// `coord`: meters, +z up, finite. `[N, 3]`
     pub fn around(coord: &[[f32; 3]], rows: &[u32]) -> Option<Self> {
         if rows.is_empty() {
             return None;

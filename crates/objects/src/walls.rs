@@ -4,17 +4,17 @@ use crate::cells::distinct;
 use crate::upright_box::UprightBox;
 use glam::DVec2;
 
-/// Side of the cells of the plan, metres.
+/// Side of the cells of the plan, meters.
 const CELL: f64 = 0.1;
-/// A line takes what is no further from it, metres.
+/// A line takes what is no further from it, meters.
 const REACH: f64 = 0.12;
 /// Angles that lines are looked for at.
 const ANGLES: usize = 180;
-/// Shortest line, metres.
+/// Shortest line, meters.
 const SHORTEST: f64 = 0.6;
 /// Share of the cells that a line must hold.
 const LEAST_SHARE: f64 = 0.04;
-/// Pieces smaller than this in plan, metres, are furniture.
+/// Pieces smaller than this in plan, meters, are furniture.
 const LEAST_SIDE: f64 = 1.2;
 /// Most of its rectangle that a piece of lines covers; and one that stands, as walls do.
 const FILL: f64 = 0.45;

@@ -4,7 +4,7 @@ use crate::{AdamSettings, Moments};
 
 /// Values of a picture: three gains, three offsets.
 const VALUES: usize = 6;
-/// Pull towards gain 1 and offset 0: without it the scene could become darker and all gains larger.
+/// Pull toward gain 1 and offset 0: without it the scene could become darker and all gains larger.
 const PULL: f32 = 0.01;
 
 /// Exposures of all frames, learned beside the scene.

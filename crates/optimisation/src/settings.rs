@@ -248,7 +248,7 @@ impl OptimiseSettings {
     pub fn check(&self) -> Result<(), OptimiseError> {
         let at_least_0 = "finite, at least 0";
         let rates = [
-            ("rate of the centres", self.rates.means),
+            ("rate of the centers", self.rates.means),
             ("rate of the scales", self.rates.scales),
             ("rate of the quaternions", self.rates.quats),
             ("rate of the opacities", self.rates.opacities),

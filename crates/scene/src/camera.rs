@@ -16,9 +16,9 @@ const ROTATION_EXACT: f64 = 4e-15;
 /// # Conventions (stated here once)
 /// - camera axes are x right, y down, z forward; a point of the world is at
 ///   `rotation · p + translation` in them, in the units of the scene;
-/// - a pixel is a square: the picture spans 0 to `width` and 0 to `height`, the *centre* of the first
+/// - a pixel is a square: the picture spans 0 to `width` and 0 to `height`, the *center* of the first
 ///   pixel is at (0.5, 0.5), and `cx`, `cy` are in these coordinates;
-/// - the world is the one of the file: nothing is turned, centred or scaled.
+/// - the world is the one of the file: nothing is turned, centered or scaled.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Camera {
     /// Of its picture, as the file says it; may have folders, may be empty.

@@ -34,13 +34,13 @@ const LEVEL_WEIGHT: u32 = 4;
 const UNKNOWN_WEIGHT: u32 = 2;
 const SLANTED_WEIGHT: u32 = 1;
 
-/// Heights are counted in bins of so many metres, and a slab has so many bins: noise of a capture and
+/// Heights are counted in bins of so many meters, and a slab has so many bins: noise of a capture and
 /// a rug lie within 7.5 cm.
 const BIN: f64 = 0.025;
 const SLAB: usize = 3;
 const MOST_BINS: usize = 4096;
 
-/// Side of a cell of the ground plan, metres, and the most cells along a side.
+/// Side of a cell of the ground plan, meters, and the most cells along a side.
 const CELL: f64 = 0.2;
 const MOST_CELLS: usize = 64;
 
@@ -51,25 +51,25 @@ const FLOOR_SHARE: f64 = 0.35;
 /// Least share of the ground plan that a floor covers.
 const LEAST_COVER: f64 = 0.1;
 
-/// The next storey begins at least so far above a floor, metres, and what is below its floor by less
+/// The next storey begins at least so far above a floor, meters, and what is below its floor by less
 /// than the thickness of a ceiling is that ceiling.
 const STOREY: f64 = 2.0;
 const CEILING: f64 = 0.6;
 
-/// A storey has rows this far above its floor, metres, at least this share of what the first one has.
+/// A storey has rows this far above its floor, meters, at least this share of what the first one has.
 const LIVED_IN: [f64; 2] = [0.4, 1.8];
 const LIVED_SHARE: f64 = 0.25;
 
-/// What belongs to a floor lies at most so far below it, metres.
+/// What belongs to a floor lies at most so far below it, meters.
 const BELOW: f64 = 0.15;
 
 /// Without a plane, this share of the rows lies below the ground.
 const GROUND_SHARE: f64 = 0.01;
 
-/// The floors of a scene, whose +z is up and whose unit is the metre.
+/// The floors of a scene, whose +z is up and whose unit is the meter.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct Floors {
-    /// Height of each floor, ascending, metres; at least one.
+    /// Height of each floor, ascending, meters; at least one.
     pub heights: Vec<f64>,
     /// Share of the ground plan that the first one covers; 0 if no plane was found, and the height
     /// is that which one visible row in a hundred lies below.
@@ -87,7 +87,7 @@ pub struct Floors {
 /// What is asked of a row.
 #[derive(Debug, Clone, Copy)]
 pub struct FloorRow {
-    /// Centre, metres.
+    /// Center, meters.
     pub coord: [f32; 3],
     /// Opacity, 0..=1.
     pub opacity: f32,
@@ -104,7 +104,7 @@ struct Level {
 }
 
 impl Floors {
-    /// One floor, as somebody says, metres.
+    /// One floor, as somebody says, meters.
     pub fn given(height: f64) -> Self {
         Self { heights: vec![height], cover: 1.0, score: 0.0, below: 0.0, given: true }
     }
@@ -167,7 +167,7 @@ impl Floors {
         self.heights.iter().copied().rfind(|floor| z >= floor - BELOW).unwrap_or(first)
     }
 
-    /// Metres of `z` above [its floor](method@Self::below).
+    /// Meters of `z` above [its floor](method@Self::below).
     pub fn height(&self, z: f32) -> f32 {
         (f64::from(z) - self.below(z)) as f32
     }

@@ -16,12 +16,12 @@ pub struct LanguageFeatures {
     pub dim: usize,
 }
 
-/// Labelled points of the original capture, which benchmarks evaluate on instead of Gaussians.
+/// Labeled points of the original capture, which benchmarks evaluate on instead of Gaussians.
 ///
 /// Same frame as the Gaussians; the number of points is independent of the number of Gaussians.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct LabelledPoints {
-    /// Positions, metres. `[M, 3]`
+    /// Positions, meters. `[M, 3]`
     pub coord: Vec<[f32; 3]>,
     /// Class index, `-1` = no label. `[M]`
     pub segment: Option<Vec<i32>>,
@@ -42,29 +42,29 @@ impl LabelledPoints {
 /// A scene of 3D Gaussians: structure of arrays, every array with one row per Gaussian.
 ///
 /// # Conventions (stated here once)
-/// - positions and scales are in metres, in the frame of the trainer's PLY files, nominally x right,
+/// - positions and scales are in meters, in the frame of the trainer's PLY files, nominally x right,
 ///   y down, z forward ([`Frame::CANONICAL`](crate::frame::Frame)); readers of formats that
 ///   prescribe another frame (SPZ, glTF) convert, others leave the axes alone; which way is up is
 ///   in none of these files, the trainer's choice decides;
 /// - scale is the natural logarithm of the standard deviation along each principal axis;
 /// - `quat` is `w, x, y, z`, unit norm, `w ≥ 0`; the columns of its matrix are the principal axes;
 /// - opacity is a logit: `alpha = 1 / (1 + e^-logit)`; `±inf` are legal (alpha 0 or 1);
-/// - colour is the spherical-harmonic DC term: `rgb = 0.5 + SH_C0 · dc`, display-referred sRGB;
+/// - color is the spherical-harmonic DC term: `rgb = 0.5 + SH_C0 · dc`, display-referred sRGB;
 /// - `sh_rest` is coefficient-major with the channel inside: `[N, K, 3]`, `K = (degree + 1)² − 1`.
 ///
 /// Values are kept *before* activation because that is what splat files hold: a scene that is read
 /// and written again is unchanged.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct GaussianScene {
-    /// Centres, metres. `[N, 3]`
+    /// Centers, meters. `[N, 3]`
     pub coord: Vec<[f32; 3]>,
-    /// Natural logarithm of the standard deviations in metres. `[N, 3]`
+    /// Natural logarithm of the standard deviations in meters. `[N, 3]`
     pub log_scale: Vec<[f32; 3]>,
     /// Orientation `w, x, y, z`. `[N, 4]`
     pub quat: Vec<[f32; 4]>,
     /// Opacity before the sigmoid. `[N]`
     pub opacity_logit: Vec<f32>,
-    /// Colour as SH DC coefficients. `[N, 3]`
+    /// Color as SH DC coefficients. `[N, 3]`
     pub sh_dc: Vec<[f32; 3]>,
     /// Higher SH coefficients, `[N, K, 3]` flattened; empty for degree 0.
     pub sh_rest: Vec<f32>,
@@ -84,7 +84,7 @@ pub struct GaussianScene {
     pub lang_feat: Option<LanguageFeatures>,
     /// Whether the row of `lang_feat` holds a feature. `[N]`
     pub valid_feat_mask: Option<Vec<bool>>,
-    /// Labelled points to evaluate on; independent row count.
+    /// Labeled points to evaluate on; independent row count.
     pub labelled_points: Option<LabelledPoints>,
 }
 
@@ -109,12 +109,12 @@ impl GaussianScene {
         sigmoid(self.opacity_logit[row])
     }
 
-    /// Standard deviations in metres.
+    /// Standard deviations in meters.
     pub fn scale(&self, row: usize) -> [f32; 3] {
         self.log_scale[row].map(f32::exp)
     }
 
-    /// Colour as the preprocessing of the original system stores it: clipped to 0..=1, times 255,
+    /// Color as the preprocessing of the original system stores it: clipped to 0..=1, times 255,
     /// *truncated* (not rounded) to a byte.
     pub fn color_u8(&self, row: usize) -> [u8; 3] {
         self.sh_dc[row].map(dc_to_u8)

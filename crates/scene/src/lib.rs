@@ -5,7 +5,7 @@
 //! [`value_policy`] says what happens to bad values on the way in, [`label_set`] holds class names
 //! and their text vectors.
 //!
-//! Not for: rendering, training, searching for neighbours.
+//! Not for: rendering, training, searching for neighbors.
 
 pub mod atomic_file;
 pub mod bounds;

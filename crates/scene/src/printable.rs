@@ -1,7 +1,7 @@
 //! Text of unknown origin, made fit for a terminal.
 //!
 //! Names of files, properties, classes and cameras come from whoever made them. Control characters
-//! in them move the cursor, change colours or the window's title; marks of writing direction make
+//! in them move the cursor, change colors or the window's title; marks of writing direction make
 //! a name read as another.
 
 use std::borrow::Cow;

@@ -37,7 +37,7 @@ const SIDE: [f64; 3] = [0.5, 0.4, 0.77];
 ///
 /// # Shapes
 /// - `scale`: standard deviations along the principal axes, any unit, or their logarithms
-/// - `coord`: the centre
+/// - `coord`: the center
 pub fn drawn_axes(scale: [f32; 3], quat: [f32; 4], coord: [f32; 3]) -> ([f32; 3], [f32; 4]) {
     let q = quat.map(f64::from);
     let squared = q.iter().map(|v| v * v).sum::<f64>();

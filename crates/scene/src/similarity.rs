@@ -40,7 +40,7 @@ impl Similarity {
 }
 
 impl GaussianScene {
-    /// Transforms positions, sizes, orientations, normals, harmonics and labelled points.
+    /// Transforms positions, sizes, orientations, normals, harmonics and labeled points.
     ///
     /// Where only signs of axes change, every number keeps its magnitude bit for bit: the scene can
     /// be taken there and back without loss. Rows with NaN stay NaN.
@@ -111,7 +111,7 @@ pub fn matrix_to_quat(m: &Matrix3) -> [f64; 4] {
     }
 }
 
-/// The product `a · b` of quaternions `w, x, y, z`, normalised, with `w ≥ 0`.
+/// The product `a · b` of quaternions `w, x, y, z`, normalized, with `w ≥ 0`.
 pub fn quat_product(a: [f64; 4], b: [f32; 4]) -> [f32; 4] {
     let b = b.map(f64::from);
     let q = [

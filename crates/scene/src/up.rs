@@ -25,7 +25,7 @@ const FLAT: f32 = 1.0;
 /// A surface faces an axis when the cosine between them exceeds this: within 26°.
 const FACING: f32 = 0.9;
 
-/// A surface that faces no axis is plumb to one when its normal leans towards it by less: 12°.
+/// A surface that faces no axis is plumb to one when its normal leans toward it by less: 12°.
 const PLUMB: f32 = 0.2;
 
 /// Share of the surface that must face no axis before plumb surfaces say anything; what random

@@ -20,7 +20,7 @@ pub fn cross<T: Copy + Sub<Output = T> + Mul<Output = T>>(a: [T; 3], b: [T; 3]) 
 /// The rotation matrix, rows first, of a quaternion `w, x, y, z` of norm 1.
 ///
 /// With another norm it is none: the matrix then is that of `1 − 2(y² + z²)` and so on all the same, as
-/// renderers without normalisation have it.
+/// renderers without normalization have it.
 #[inline(always)]
 pub fn rotation<T>([w, x, y, z]: [T; 4]) -> [[T; 3]; 3]
 where

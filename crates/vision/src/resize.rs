@@ -67,7 +67,7 @@ fn taps<W>(from: usize, to: usize, filter: Filter, round: impl Fn(f64) -> W) -> 
     let mut row = Vec::new();
     for out in 0..to {
         let center = (out as f64 + 0.5) * scale;
-        // Truncation towards zero, then bounds: as in C.
+        // Truncation toward zero, then bounds: as in C.
         let first = (center - support + 0.5).max(0.0) as usize;
         let last = ((center + support + 0.5) as usize).min(from);
         row.clear();

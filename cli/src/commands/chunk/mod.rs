@@ -16,7 +16,7 @@ use std::path::PathBuf;
 use totals::Totals;
 
 /// Cuts scenes into overlapping squares for training. Every chunk is a folder of .npy files with all
-/// arrays of its scene; language features are normalised. An interrupted run goes on where it was.
+/// arrays of its scene; language features are normalized. An interrupted run goes on where it was.
 #[derive(Debug, clap::Args)]
 pub struct Args {
     /// The folder of the scenes, or of their splits: folders of .npy files, or files of any format.
@@ -27,14 +27,14 @@ pub struct Args {
     /// Folder of ROOT to cut, and name of the chunks' folder; the scenes of ROOT itself otherwise.
     #[arg(long, value_name = "NAME")]
     pub split: Option<String>,
-    /// Keeps one Gaussian in each cell of this size, metres (0.01 is the original's); all if not
+    /// Keeps one Gaussian in each cell of this size, meters (0.01 is the original's); all if not
     /// given.
     #[arg(long, value_name = "M")]
     pub grid: Option<f64>,
-    /// Sides of a chunk along x and y, metres.
+    /// Sides of a chunk along x and y, meters.
     #[arg(long, num_args = 2, value_names = ["X", "Y"], default_values_t = [6.0, 6.0])]
     pub range: Vec<f64>,
-    /// Distance from one chunk to the next along x and y, metres.
+    /// Distance from one chunk to the next along x and y, meters.
     #[arg(long, num_args = 2, value_names = ["X", "Y"], default_values_t = [3.0, 3.0])]
     pub stride: Vec<f64>,
     /// Leaves out chunks with fewer Gaussians.

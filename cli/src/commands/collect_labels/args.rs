@@ -40,8 +40,8 @@ pub struct Args {
     #[arg(long, value_name = "N", requires = "images",
           value_parser = clap::value_parser!(u32).range(1..))]
     pub max_frames: Option<u32>,
-    /// What cuts pictures into segments: superpixels over colour, depth and normals (no weights), sam2, onnx, or a folder
-    /// of id maps, FRAME.png, grey, 8 or 16 bits.
+    /// What cuts pictures into segments: superpixels over color, depth and normals (no weights), sam2, onnx, or a folder
+    /// of id maps, FRAME.png, gray, 8 or 16 bits.
     #[arg(
         long,
         value_name = "sam2|superpixels|onnx|FOLDER",
@@ -115,7 +115,7 @@ impl From<PathBuf> for SegmentsArg {
 pub enum FeaturesArg {
     /// The image tower of SigLIP2.
     Siglip2,
-    /// Histograms of colours.
+    /// Histograms of colors.
     Colour,
     /// A picture encoder in an ONNX file.
     Onnx,

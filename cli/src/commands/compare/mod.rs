@@ -16,7 +16,7 @@ use serde_json::json;
 use std::path::{Path, PathBuf};
 
 /// Compares two pictures, PNG or JPEG, or those of two folders by their names without ending. The
-/// first is the render, the second the truth. 16-bit grey pictures are depth, all others colour.
+/// first is the render, the second the truth. 16-bit gray pictures are depth, all others color.
 #[derive(Debug, clap::Args)]
 pub struct Args {
     /// A PNG or JPEG file, or a folder of such.
@@ -29,7 +29,7 @@ pub struct Args {
     /// Weights of LPIPS, AlexNet or VGG16, as one safetensors file; without them it is left out.
     #[arg(long, value_name = "FILE")]
     pub lpips_weights: Option<PathBuf>,
-    /// Steps per unit in 16-bit pictures of depth: 1000 for millimetres.
+    /// Steps per unit in 16-bit pictures of depth: 1000 for millimeters.
     #[arg(long, value_name = "STEPS", default_value_t = 1000.0)]
     pub depth_scale: f64,
     /// Also writes all numbers as JSON here.

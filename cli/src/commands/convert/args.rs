@@ -27,11 +27,11 @@ pub struct Args {
     /// The format, where the name does not say it.
     #[arg(long, value_name = "NAME", value_parser = format_parser())]
     pub format: Option<SceneFormat>,
-    /// Removes Gaussians that `inspect` calls floaters (no neighbours where others have some) and
+    /// Removes Gaussians that `inspect` calls floaters (no neighbors where others have some) and
     /// giants (larger than the scene).
     #[arg(long)]
     pub remove_floaters: bool,
-    /// Keeps the Gaussians with their centre in this box, in the coordinates of the source.
+    /// Keeps the Gaussians with their center in this box, in the coordinates of the source.
     #[arg(long, value_name = "X0,Y0,Z0,X1,Y1,Z1", allow_hyphen_values = true)]
     pub crop: Option<CropBox>,
     /// Keeps that many Gaussians, or that part, chosen by --seed.
@@ -40,7 +40,7 @@ pub struct Args {
     /// Cuts spherical harmonics above this degree.
     #[arg(long, value_name = "0..4", value_parser = clap::value_parser!(u8).range(0..=4))]
     pub sh: Option<u8>,
-    /// Multiplies positions and sizes: 0.001 for a scene in millimetres.
+    /// Multiplies positions and sizes: 0.001 for a scene in millimeters.
     #[arg(long, value_name = "FACTOR", value_parser = parse_positive, allow_hyphen_values = true)]
     pub scale: Option<f64>,
     /// Renames the axes: the directions of +x, +y, +z as letters of right/left, up/down,

@@ -53,7 +53,7 @@ pub struct Args {
     /// "oracle", or features made before (.npy, [N, D]; one scene only) instead of a network.
     #[arg(long, value_name = "oracle|FILE.npy")]
     pub features: Option<String>,
-    /// Neighbours that vote on each label; 0 or 1 for no vote. [default: 25]
+    /// Neighbors that vote on each label; 0 or 1 for no vote. [default: 25]
     #[arg(long, value_name = "K")]
     pub vote_k: Option<usize>,
     /// Whether surfaces have one label.
@@ -81,7 +81,7 @@ pub struct Args {
 const ORACLE: &str = "oracle";
 
 impl Args {
-    /// With the parts of the setting among the flags, and how many neighbours vote.
+    /// With the parts of the setting among the flags, and how many neighbors vote.
     pub fn settled(&self) -> Result<(Self, usize)> {
         let (inference, k) = self.inference.settled(self.vote_k)?;
         Ok((Self { inference, ..self.clone() }, k))

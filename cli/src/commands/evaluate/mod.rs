@@ -34,7 +34,7 @@ pub fn run(args: &Args, line: &str) -> Result<()> {
     let mut evaluation = Evaluation::new(&text, settings)?;
     session.outputs.open_folder(&["evaluation.json"])?;
     args.classes.record(&session)?;
-    session.receipt.setting("vote_k", vote_k, "neighbours that vote on each label");
+    session.receipt.setting("vote_k", vote_k, "neighbors that vote on each label");
     let names: Vec<&str> = excluded.iter().map(|&c| text.names[c].as_str()).collect();
     session.receipt.setting("exclude", names.join(","), "left out of f-mIoU and f-mAcc");
 

@@ -13,7 +13,7 @@ use std::path::PathBuf;
 
 /// Lifts the segments of pictures onto the Gaussians: writes lang_feat.npy ([N, D], f16, one row per
 /// Gaussian of the file, 0 without a label), valid_feat_mask.npy, confidence.npy, views.npy,
-/// coverage.npy, preview.png (coloured by the features) and a receipt.
+/// coverage.npy, preview.png (colored by the features) and a receipt.
 #[derive(Debug, clap::Args)]
 pub struct Args {
     /// Which scenes.
@@ -43,7 +43,7 @@ pub struct Args {
     /// Power of the weight a picture has: 1 counts pixels, 0 gives every picture one vote.
     #[arg(long, value_name = "GAMMA", default_value_t = 1.0)]
     pub view_exponent: f32,
-    /// Least labelled weight of a Gaussian, in pixels over all pictures; less gets no feature.
+    /// Least labeled weight of a Gaussian, in pixels over all pictures; less gets no feature.
     #[arg(long, value_name = "TAU", default_value_t = 0.0)]
     pub coverage: f32,
     /// Least part of a Gaussian's weight that lies in segments.
@@ -85,7 +85,7 @@ pub struct LiftArgs {
     /// itself (1 % and two standard deviations), or a folder of FRAME.npy, [H, W], 0 = unknown (3 %
     /// and 0.05 units); `auto` does what `render` does if up to 16 of the pictures, spread evenly, show
     /// in the first level that it leaves out wrong labels and keeps half of the weight (`off`
-    /// with the rule centre-pixel).
+    /// with the rule center-pixel).
     #[arg(
         long,
         value_name = "auto|off|render|DIR",
@@ -116,7 +116,7 @@ pub struct LiftArgs {
 pub enum RuleArg {
     /// All that show it, by their blending weights.
     AlphaWeighted,
-    /// The one at its centre, as Occam's LGS, with the constants of gsplat 1.4.
+    /// The one at its center, as Occam's LGS, with the constants of gsplat 1.4.
     CentrePixel,
 }
 

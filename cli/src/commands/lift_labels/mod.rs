@@ -121,10 +121,10 @@ impl Args {
             receipt.setting("erode", self.erode, "pixels along borders that label nothing");
         }
         if self.coverage > 0.0 {
-            receipt.setting("coverage", self.coverage, "least labelled weight, pixels");
+            receipt.setting("coverage", self.coverage, "least labeled weight, pixels");
         }
         if self.labelled_share > 0.0 {
-            receipt.setting("labelled_share", self.labelled_share, "least labelled part");
+            receipt.setting("labelled_share", self.labelled_share, "least labeled part");
         }
         Ok(())
     }

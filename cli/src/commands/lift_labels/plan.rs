@@ -51,7 +51,7 @@ impl Args {
                 found.misleading.map_or("an unknown amount".to_owned(), |m| format!("{m:.3}")),
                 100.0 * found.kept
             ),
-            (None, EffectChoice::Auto) => "the rule of centre pixels has none".to_owned(),
+            (None, EffectChoice::Auto) => "the rule of center pixels has none".to_owned(),
             (None, _) => "by choice".to_owned(),
         };
         EffectDecision {

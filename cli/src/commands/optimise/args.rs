@@ -22,7 +22,7 @@ pub struct Args {
     /// Folder of depths along the camera's axis, NAME.png of 16 bits or NAME.npy, [H, W]; 0 = unknown.
     #[arg(long, value_name = "DIR")]
     pub depth: Option<PathBuf>,
-    /// Steps per unit of the scene in 16-bit pictures of depth: 1000 for millimetres.
+    /// Steps per unit of the scene in 16-bit pictures of depth: 1000 for millimeters.
     #[arg(long, value_name = "STEPS", default_value_t = 1000.0, value_parser = parse_positive,
           requires = "depth")]
     pub depth_scale: f64,

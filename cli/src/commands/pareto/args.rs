@@ -9,7 +9,7 @@ use scenesplat::network::Weights;
 use scenesplat_lab::pareto::{Grid, ParetoError};
 use std::path::{Path, PathBuf};
 
-/// Measures a grid of settings on labelled scenes and shows what accuracy costs: records.jsonl,
+/// Measures a grid of settings on labeled scenes and shows what accuracy costs: records.jsonl,
 /// front.json, pareto.html, pareto.png and pareto.svg.
 ///
 /// Each setting runs in a process of its own. Ctrl-C keeps what was measured; the same command goes on

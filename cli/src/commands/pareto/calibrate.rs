@@ -34,7 +34,7 @@ const TIMED: u64 = 1023;
 /// rooms are dense in one scene and thin in the next, or nothing would tell the cost of a voxel from that of a
 /// Gaussian.
 const ROOM: [usize; 2] = [100_000, 30_000];
-/// Distance from room to room, metres.
+/// Distance from room to room, meters.
 const APART: f32 = 12.0;
 /// Runs of a command: two at least, three if that takes no longer than this. The model is fitted to the
 /// fastest, for what else happens on a machine only adds to a time; all of them say how much that is.

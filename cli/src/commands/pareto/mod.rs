@@ -64,7 +64,7 @@ pub fn run(args: &Args) -> Result<()> {
     estimate::check(seconds, settings.len(), args.limit.0)?;
     if !sets.is_empty() {
         progress.say(format!(
-            "{} settings on {} sets of scenes: about {}, neighbours that rule some out not counted",
+            "{} settings on {} sets of scenes: about {}, neighbors that rule some out not counted",
             settings.len(),
             sets.len(),
             scenesplat_lab::pareto::seconds_text(seconds)

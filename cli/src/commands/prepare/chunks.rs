@@ -10,7 +10,7 @@ use scenesplat::scene::WholeFolder;
 use scenesplat::scene::formats::npy::NpyFile;
 use std::path::{Path, PathBuf};
 
-/// Brings the labelled points of scenes to their chunks: of each chunk the points that are among the nearest of its
+/// Brings the labeled points of scenes to their chunks: of each chunk the points that are among the nearest of its
 /// Gaussians. A chunk is called as its scene, with _ and a number.
 #[derive(Debug, clap::Args)]
 pub struct Args {
@@ -21,7 +21,7 @@ pub struct Args {
     /// Points around each Gaussian that may belong to a chunk.
     #[arg(long, value_name = "K", default_value_t = 16, value_parser = clap::value_parser!(u16).range(1..=1024))]
     pub neighbours: u16,
-    /// How far they may be, metres.
+    /// How far they may be, meters.
     #[arg(long, value_name = "M", default_value = "0.25", value_parser = crate::flags::parse_positive)]
     pub max_distance: f64,
     /// Also makes CHUNKS_filtered with the chunks of which at least this share of the Gaussians has a language feature
@@ -58,7 +58,7 @@ pub(super) fn run(args: &Args) -> Result<()> {
         done += 1;
     }
     progress.finish();
-    progress.say(format!("{done} of {} chunks have labelled points", chunks.len()));
+    progress.say(format!("{done} of {} chunks have labeled points", chunks.len()));
     if let Some(first) = without.first() {
         progress.say(format!(
             "{} chunks are of scenes without pc_coord.npy in {} ({first}, …)",
@@ -66,7 +66,7 @@ pub(super) fn run(args: &Args) -> Result<()> {
             args.scenes.display()
         ));
     }
-    anyhow::ensure!(done > 0, "no chunk is of a scene with labelled points");
+    anyhow::ensure!(done > 0, "no chunk is of a scene with labeled points");
     if let Some(share) = args.filtered {
         filter(args, &chunks, share, &progress)?;
     }

@@ -17,10 +17,10 @@ pub struct Args {
 #[derive(Debug, Subcommand)]
 #[allow(clippy::large_enum_variant, reason = "one a run")]
 enum Part {
-    /// A scene of Gaussians and the labelled scan of it: a folder of .npy files with labels, instances, normals and
-    /// the labelled points.
+    /// A scene of Gaussians and the labeled scan of it: a folder of .npy files with labels, instances, normals and
+    /// the labeled points.
     Scan(scan::Args),
-    /// Brings the labelled points of scenes (pc_*.npy) to the chunks that were cut of them.
+    /// Brings the labeled points of scenes (pc_*.npy) to the chunks that were cut of them.
     Chunks(chunks::Args),
 }
 

@@ -15,7 +15,7 @@ use scenesplat::scene::{GaussianScene, LanguageFeatures, ReadOptions};
 use std::path::{Path, PathBuf};
 
 /// Makes a folder of .npy files that training reads: Gaussians inside the scan's box, each with the label, instance and
-/// normal of the nearest point of the scan, and the labelled points themselves.
+/// normal of the nearest point of the scan, and the labeled points themselves.
 #[derive(Debug, clap::Args)]
 pub struct Args {
     /// The scene of Gaussians, in any format, in the frame of the scan.
@@ -40,10 +40,10 @@ pub struct Args {
     /// 0.5).
     #[arg(long, value_name = "SHARE", default_value_t = 0.0, requires = "lang_feat")]
     pub min_valid: f64,
-    /// A Gaussian farther than this from any point has no label, metres; 0 = however far, as the original.
+    /// A Gaussian farther than this from any point has no label, meters; 0 = however far, as the original.
     #[arg(long, value_name = "M", default_value_t = 0.25)]
     pub max_distance: f64,
-    /// How much longer the sides of the box are than the scan's, metres.
+    /// How much longer the sides of the box are than the scan's, meters.
     #[arg(long, value_name = "M", default_value = "0.5", value_parser = parse_positive, conflicts_with = "keep_all")]
     pub margin: f64,
     /// Keeps Gaussians outside of the box too.
@@ -123,7 +123,7 @@ impl Args {
     fn check(&self) -> Result<()> {
         let wrong = |text: String| -> Result<()> { Err(WrongUse(text).into()) };
         if !(self.max_distance >= 0.0 && self.max_distance.is_finite()) {
-            return wrong(format!("--max-distance {}: metres, at least 0", self.max_distance));
+            return wrong(format!("--max-distance {}: meters, at least 0", self.max_distance));
         }
         if !(0.0..=1.0).contains(&self.min_valid) {
             return wrong(format!("--min-valid {}: a share from 0 to 1", self.min_valid));

@@ -14,7 +14,7 @@ use std::path::PathBuf;
 /// the name of a row, or, with --text-model, any phrase, whose vector is guessed; or any text whose embedding is given by
 /// --embedding.
 /// A Gaussian is selected when the query scores best among all rows of --text (if there are
-/// several), its score reaches --min-score, and most of its neighbours agree.
+/// several), its score reaches --min-score, and most of its neighbors agree.
 #[derive(Debug, Clone, clap::Args)]
 pub struct Args {
     /// The scene, in any format.
@@ -30,7 +30,7 @@ pub struct Args {
     /// Rivals of the query and thresholds.
     #[command(flatten)]
     pub classes: Classes,
-    /// Neighbours that vote on the selection; 0 or 1 for no vote. [default: 25]
+    /// Neighbors that vote on the selection; 0 or 1 for no vote. [default: 25]
     #[arg(long, value_name = "K")]
     pub vote_k: Option<usize>,
     /// Features made before instead of a network: .npy, [N, D], one row per Gaussian, such as

@@ -51,7 +51,7 @@ pub fn run(args: &Args, line: &str) -> Result<()> {
         session.novelty(&features, |_| "what is found is a guess")?;
     }
 
-    session.receipt.setting("vote_k", vote_k, "neighbours that vote on the selection");
+    session.receipt.setting("vote_k", vote_k, "neighbors that vote on the selection");
     let mut found = {
         let _stage = session.receipt.stage("query");
         let settings = QuerySettings {

@@ -46,8 +46,8 @@ pub struct Args {
     /// Also writes depth.
     #[arg(long)]
     pub depth: bool,
-    /// What one unit of the scene is in the 16-bit pictures of depth: 1000 writes millimetres of a
-    /// scene in metres.
+    /// What one unit of the scene is in the 16-bit pictures of depth: 1000 writes millimeters of a
+    /// scene in meters.
     #[arg(long, value_name = "STEPS", default_value_t = 1000.0, requires = "depth",
           value_parser = parse_positive, allow_hyphen_values = true)]
     pub depth_scale: f64,
@@ -60,14 +60,14 @@ pub struct Args {
     /// Makes up for the low-pass with opacity; for scenes that were trained so.
     #[arg(long)]
     pub antialiased: bool,
-    /// Colour behind the scene, 0 to 1; black by default.
+    /// Color behind the scene, 0 to 1; black by default.
     #[arg(long, value_name = "R,G,B", value_parser = parse_color)]
     pub background: Option<[f32; 3]>,
     /// auto leaves out what the scene does not have; full computes everything.
     #[arg(long, value_enum, default_value_t = PlanArg::Auto)]
     pub plan: PlanArg,
     /// What a bad capture does, and how strong from 0 to 5: blur, glass, light, noise happen to the
-    /// pictures; holes, floaters, surface to the scene before. Lengths are metres. Also writes
+    /// pictures; holes, floaters, surface to the scene before. Lengths are meters. Also writes
     /// effects.json, what became of each picture.
     #[arg(long, value_name = "NAME=SEVERITY,…", default_value = "none")]
     pub effect: EffectSet,

@@ -37,6 +37,6 @@ pub fn parse_color(text: &str) -> Result<[f32; 3], String> {
     let values: Option<Vec<f32>> = text.split(',').map(|v| v.trim().parse().ok()).collect();
     match values.as_deref() {
         Some(&[r, g, b]) if [r, g, b].iter().all(|v| (0.0..=1.0).contains(v)) => Ok([r, g, b]),
-        _ => Err(format!("{text:?} is no colour; write three numbers from 0 to 1: 1,1,1")),
+        _ => Err(format!("{text:?} is no color; write three numbers from 0 to 1: 1,1,1")),
     }
 }

@@ -1,4 +1,4 @@
-//! Batch normalisation over the rows of each channel.
+//! Batch normalization over the rows of each channel.
 
 use super::columns::{expect_gradients, parts};
 use super::kernels;

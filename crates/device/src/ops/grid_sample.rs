@@ -145,7 +145,7 @@ impl Codes {
 /// smallest cell of its axis. No rows give no voxels.
 ///
 /// # Shapes
-/// `coord`: `[N, 3]` of `f32`, metres
+/// `coord`: `[N, 3]` of `f32`, meters
 ///
 /// # Errors
 /// If `grid_size` is not a positive number, a coordinate is not finite, an axis spans more than

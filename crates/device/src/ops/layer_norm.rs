@@ -1,4 +1,4 @@
-//! Layer normalisation over the channels of each row.
+//! Layer normalization over the channels of each row.
 
 use super::columns::{add_parts, expect_gradients, parts};
 use super::kernels;
@@ -9,7 +9,7 @@ use crate::launch::{
 };
 
 kernels! { "layer_norm":
-    /// Rows normalised.
+    /// Rows normalized.
     LAYER_NORM = layer_norm, 256, PerWarp;
     /// Gradient of the rows.
     LAYER_NORM_BACKWARD = layer_norm_backward, 256, PerWarp;
@@ -17,7 +17,7 @@ kernels! { "layer_norm":
     LAYER_NORM_PARAMETERS = layer_norm_parameters, 256, PerThread;
 }
 
-/// `out = LayerNorm(x) [+ residual]`; a row whose variance overflows f32 is normalised in f64, one with NaN or
+/// `out = LayerNorm(x) [+ residual]`; a row whose variance overflows f32 is normalized in f64, one with NaN or
 /// ±∞ is NaN.
 ///
 /// # Shapes

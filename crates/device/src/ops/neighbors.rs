@@ -13,11 +13,11 @@ kernels! { "neighbors":
     NEIGHBOR_CELLS = neighbor_cells, 256, PerThread;
     /// Nearest points of each query.
     NEAREST_POINTS = nearest_points, 128, PerThread;
-    /// Most frequent label of the neighbours.
+    /// Most frequent label of the neighbors.
     VOTE_LABELS = vote_labels, 128, PerThread;
 }
 
-/// Most neighbours of a query.
+/// Most neighbors of a query.
 pub const MOST_NEIGHBORS: u32 = 32;
 /// Points that a cell would hold if they filled their box evenly.
 const POINTS_PER_CELL: f64 = 4.0;
@@ -73,7 +73,7 @@ impl Grid {
 /// Sorts points by cells. Where coordinates are not finite, results are arbitrary; the caller checks them.
 ///
 /// # Shapes
-/// `points`: `[N, 3]` of `f32`, metres
+/// `points`: `[N, 3]` of `f32`, meters
 ///
 /// # Errors
 /// Those of the launcher.
@@ -110,7 +110,7 @@ pub fn sort_points<'a, L: Launcher>(
 /// fewer; none for queries that are not finite.
 ///
 /// # Shapes
-/// `queries`: `[M, 3]` of `f32`, metres · returns `[M, k]` of `u32`
+/// `queries`: `[M, 3]` of `f32`, meters · returns `[M, k]` of `u32`
 ///
 /// # Errors
 /// Those of the launcher.
@@ -124,10 +124,7 @@ pub fn nearest<L: Launcher>(
     num_queries: u32,
     k: u32,
 ) -> Result<L::Buffer, L::Error> {
-    assert!(
-        (1..=MOST_NEIGHBORS).contains(&k),
-        "{k} neighbours, 1 to {MOST_NEIGHBORS} are possible"
-    );
+    assert!((1..=MOST_NEIGHBORS).contains(&k), "{k} neighbors, 1 to {MOST_NEIGHBORS} are possible");
     l.expect::<[f32; 3]>("queries", queries, num_queries.into());
     let mut found = l.alloc_values::<u32>(num_queries as usize * k as usize)?;
     let inputs = [cells.points, &cells.sorted.codes, &cells.sorted.rows, queries];
@@ -136,8 +133,8 @@ pub fn nearest<L: Launcher>(
     Ok(found)
 }
 
-/// The majority label among the neighbours of each query: a neighbour without a label (−1) takes up its place
-/// and counts for no class; of equally frequent labels the smaller wins; −1 where no neighbour has one.
+/// The majority label among the neighbors of each query: a neighbor without a label (−1) takes up its place
+/// and counts for no class; of equally frequent labels the smaller wins; −1 where no neighbor has one.
 ///
 /// # Shapes
 /// `neighbors`: `[M, k]` of `u32`, as [`nearest`] gives them · `labels`: `[N]` of `i32` · returns `[M]` of `i32`

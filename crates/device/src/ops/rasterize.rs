@@ -70,7 +70,7 @@ impl View {
 pub struct Settings {
     /// Nearest and farthest depth drawn.
     pub depth: [f32; 2],
-    /// Whether a centre exactly at the nearest is not drawn.
+    /// Whether a center exactly at the nearest is not drawn.
     pub near_excluded: bool,
     /// Variance added to the projected covariance, px².
     pub eps2d: f32,
@@ -98,7 +98,7 @@ pub struct Settings {
 /// Gaussians with activated values, on the device.
 #[derive(Debug)]
 pub struct Gaussians<'a, B> {
-    /// Centres. `[N, 3]`
+    /// Centers. `[N, 3]`
     pub means: &'a B,
     /// Orientation `w, x, y, z`. `[N, 4]`
     pub quats: &'a B,
@@ -119,7 +119,7 @@ pub struct Gaussians<'a, B> {
 pub struct CullCounts {
     /// Drawn, or at least listed.
     pub drawn: u32,
-    /// A centre, a quaternion or a scale that is not finite.
+    /// A center, a quaternion or a scale that is not finite.
     pub not_finite: u32,
     /// Nearer or farther than the depths drawn.
     pub depth: u32,

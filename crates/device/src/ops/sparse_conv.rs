@@ -28,7 +28,7 @@ const TILE: u32 = 64;
 /// Output and input channels of a block of the weight's gradient.
 const WEIGHT_TILE: u32 = 32;
 /// Channels up to which all taps go in one launch: one tile holds them all, so that a row is gathered once. Above, each
-/// row of a tap would be gathered again for every tile of channels whether it has a neighbour or not.
+/// row of a tap would be gathered again for every tile of channels whether it has a neighbor or not.
 const FUSED_CHANNELS: u32 = 64;
 /// Largest gradient of a weight of which there are several partial sums, bytes.
 const PARTIAL_BYTES: u64 = 2 << 20;

@@ -122,7 +122,7 @@ fn neighbours_and_votes_are_those_of_the_cpu() {
         check_vote(&points(n, 7), &points(60, 8), 25);
     }
     check_vote(&points(500, 7), &[], 5);
-    // Queries far outside, and more neighbours than points.
+    // Queries far outside, and more neighbors than points.
     let mut queries = points(20, 9);
     queries.extend([[50.0, -3.0, 0.0], [0.0, 0.0, -1e6], [-2.0, 0.0, 2.0]]);
     check_vote(&points(700, 10), &queries, 3);

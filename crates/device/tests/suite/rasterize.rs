@@ -133,7 +133,7 @@ fn check(gaussians: &cpu::Gaussians, view: &cpu::View, settings: &cpu::RasterSet
     ];
     assert_eq!(got.map(|v| v as usize), counts);
     let what = format!("{} Gaussians, {} × {}", gaussians.means.len(), view.width, view.height);
-    assert_near(&rgb, &want.rgb.unwrap(), 2e-5, &format!("colour, {what}"));
+    assert_near(&rgb, &want.rgb.unwrap(), 2e-5, &format!("color, {what}"));
     assert_near(&rest[0], &want.transmittance, 2e-5, &format!("transmittance, {what}"));
     assert_near(&rest[1], &want.depth_accumulated.unwrap(), 5e-5, &format!("depth, {what}"));
     // A pixel whose light is a half but for rounding may take the next Gaussian.
@@ -168,7 +168,7 @@ fn what_cannot_be_drawn_is_counted() {
     hard.opacities[5] = f32::NAN;
     hard.opacities[6] = 1e-4;
     hard.opacities[7] = 3.0;
-    // In the middle of the picture, with a colour that is none.
+    // In the middle of the picture, with a color that is none.
     hard.means[8] = [0.0, 0.0, 3.0];
     hard.opacities[8] = 0.9;
     hard.sh[8 * 12] = f32::NAN;

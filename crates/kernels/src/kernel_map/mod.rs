@@ -217,7 +217,7 @@ mod tests {
         assert_eq!(
             all(&twice),
             [(12, 0, 2), (13, 0, 0), (13, 1, 1), (13, 2, 2), (14, 2, 0), (14, 2, 1)],
-            "the first row stands for the voxel, each row is its own centre"
+            "the first row stands for the voxel, each row is its own center"
         );
         let mut rng = rand_chacha::ChaCha8Rng::seed_from_u64(4);
         let crowded: Vec<[i32; 3]> =

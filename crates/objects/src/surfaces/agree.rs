@@ -37,10 +37,10 @@ impl ClassShares<'_> {
 pub struct AgreeSettings<'a> {
     /// What a Gaussian's own shares count for, where each of its surfaces counts for 1; from 0.
     pub own: f32,
-    /// Least surface that a thing of each class has, square metres: smaller pieces take the label of a neighbour.
+    /// Least surface that a thing of each class has, square meters: smaller pieces take the label of a neighbor.
     /// Classes beyond its end have none; empty, pieces stay.
     pub least_area: &'a [f64],
-    /// Least share that the label of a neighbour must have in such a piece, as part of that of its own label.
+    /// Least share that the label of a neighbor must have in such a piece, as part of that of its own label.
     pub keep: f64,
 }
 
@@ -68,7 +68,7 @@ struct Groups {
 }
 
 impl Groups {
-    /// Labelled Gaussians by what they are part of.
+    /// Labeled Gaussians by what they are part of.
     fn new(of: &[u32], count: usize, labels: &[i32]) -> Self {
         let is_in = |row: usize| labels[row] >= 0 && (of[row] as usize) < count;
         let mut start = vec![0; count + 1];
@@ -91,7 +91,7 @@ impl Groups {
     }
 }
 
-/// Mean shares of the labelled Gaussians of each surface. `[surfaces, classes]`
+/// Mean shares of the labeled Gaussians of each surface. `[surfaces, classes]`
 fn means(shares: &ClassShares<'_>, surfaces: &Surfaces, labels: &[i32]) -> Vec<f32> {
     let classes = shares.num_classes;
     let groups = Groups::new(&surfaces.of, surfaces.count, labels);
@@ -145,7 +145,7 @@ impl OfCells {
 /// Labels as surfaces of several scales have them: each Gaussian takes the class of which the mean shares of its
 /// surfaces and its own share are the most together; of equal ones the smallest. Where surfaces of one scale hold
 /// parts of two things, those of another count for more. Then pieces that are too small for their class
-/// ([`AgreeSettings::least_area`]) take the label of the neighbour for which most speaks.
+/// ([`AgreeSettings::least_area`]) take the label of the neighbor for which most speaks.
 ///
 /// Gaussians without a label (negative) have no say and get none; those of no surface keep theirs. The same for any
 /// number of threads.
@@ -385,11 +385,11 @@ mod tests {
         assert_eq!(agreed(&[], 0.24), as_they_are);
         assert_eq!(agreed(&[0.0, 2.0], 0.24), as_they_are, "two cells are enough");
         let due = vec![0, 0, 0, 0, 0, 0, 0, 2, 1, 1, 1, 1, -1, 1];
-        // The last has no neighbour with a label: it stays, however small.
+        // The last has no neighbor with a label: it stays, however small.
         assert_eq!(agreed(&[0.0, 3.0], 0.24), (due, 2));
         // 0.3 of 1.2 speaks for the floor: just enough above, not here.
         assert_eq!(agreed(&[0.0, 3.0], 0.26), as_they_are);
-        // The lone 2 and its neighbours: nothing speaks for them there.
+        // The lone 2 and its neighbors: nothing speaks for them there.
         assert_eq!(agreed(&[0.0, 0.0, 1.5], 0.24), as_they_are);
         assert_eq!(agreed(&[0.0, 0.0, 1.5], 0.0).0[7], 0, "of equal ones the smallest");
         // All are too small: there is nothing that they could be.

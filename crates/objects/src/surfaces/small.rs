@@ -1,12 +1,12 @@
-//! Pieces that are too small for what they are taken for: a bed of a tenth of a square metre is none.
+//! Pieces that are too small for what they are taken for: a bed of a tenth of a square meter is none.
 
 use super::{AgreeSettings, SceneSurfaces};
 use crate::cells::{Joined, distinct};
 
-/// How often small pieces are looked for: what took the label of a neighbour may have become one with another.
+/// How often small pieces are looked for: what took the label of a neighbor may have become one with another.
 const ROUNDS: usize = 3;
 
-/// Labels of cells (−1: none) in which no piece is smaller than its class may be, where a neighbour that is none such
+/// Labels of cells (−1: none) in which no piece is smaller than its class may be, where a neighbor that is none such
 /// has a share in it. `share`: of each cell. `[cells, classes]`
 pub(super) fn relabel_small(
     labels: &mut [i32],
@@ -20,7 +20,7 @@ pub(super) fn relabel_small(
     };
     for _ in 0..ROUNDS {
         let (piece_of, beside) = beside_small(labels, surfaces, least);
-        // Sums over pieces with a large neighbour, in the order of their first cell.
+        // Sums over pieces with a large neighbor, in the order of their first cell.
         let mut place = vec![None; labels.len()];
         let pieces: Vec<&[(u32, i32)]> = beside.chunk_by(|a, b| a.0 == b.0).collect();
         for (at, of_piece) in pieces.iter().enumerate() {
@@ -57,7 +57,7 @@ pub(super) fn relabel_small(
     }
 }
 
-/// The piece of each cell, and labels of large neighbours of each piece below the `least` area of its label, sorted.
+/// The piece of each cell, and labels of large neighbors of each piece below the `least` area of its label, sorted.
 fn beside_small(
     labels: &[i32],
     surfaces: &SceneSurfaces,

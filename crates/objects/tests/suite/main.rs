@@ -124,7 +124,7 @@ fn places_are_in_the_frame_and_unit_of_the_scene() {
     let names = names();
     let room = room_of(30_000, 7);
     let plain = find(&input(&room, &names));
-    // Lying on its side, in centimetres: up is -y.
+    // Lying on its side, in centimeters: up is -y.
     let mut lying = room;
     lying.scene.coord.iter_mut().for_each(|c| *c = [c[0], -c[2], c[1]].map(|v| v * 100.0));
     let ln = 100f32.ln();

@@ -64,7 +64,7 @@ impl FinaliseSettings {
         let least = self.min_coverage;
         check("coverage", least, least >= 0.0 && least.is_finite(), "finite, at least 0")?;
         let share = self.min_labelled_share;
-        check("labelled share", share, unit(share), "from 0 to 1")?;
+        check("labeled share", share, unit(share), "from 0 to 1")?;
         if let Aggregate::HeaviestGroup { cosine } = self.aggregate {
             check("group cosine", cosine, (-1.0..=1.0).contains(&cosine), "from -1 to 1")?;
         }

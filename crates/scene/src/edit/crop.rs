@@ -20,7 +20,7 @@ impl CropBox {
         (0..3).all(|i| (self.min[i]..=self.max[i]).contains(&p[i]))
     }
 
-    /// Rows with their centre inside, ascending.
+    /// Rows with their center inside, ascending.
     pub(super) fn rows(&self, scene: &GaussianScene) -> Result<Vec<usize>, EditError> {
         let inside = |row: &usize| self.contains(&scene.coord[*row]);
         let kept: Vec<usize> = (0..scene.len()).into_par_iter().filter(inside).collect();
@@ -31,7 +31,7 @@ impl CropBox {
         Ok(kept)
     }
 
-    /// Keeps the labelled points in the box: others would be judged by Gaussians that are not there.
+    /// Keeps the labeled points in the box: others would be judged by Gaussians that are not there.
     pub(super) fn cut_points(&self, points: &mut LabelledPoints) {
         let inside: Vec<bool> = points.coord.iter().map(|p| self.contains(p)).collect();
         points.retain(&inside);

@@ -25,7 +25,7 @@ use serde::Serialize;
 /// translation in those of the scene that comes out.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct SceneEdit {
-    /// Keeps the Gaussians with their centre in the box.
+    /// Keeps the Gaussians with their center in the box.
     pub crop: Option<CropBox>,
     /// Keeps some, chosen by the seed, in their old order.
     pub sample: Option<SampleSize>,
@@ -73,11 +73,11 @@ pub struct EditReport {
 #[non_exhaustive]
 pub enum EditError {
     /// Nothing is left.
-    #[error("no Gaussian has its centre in the box; the scene lies in {min:?} to {max:?}")]
+    #[error("no Gaussian has its center in the box; the scene lies in {min:?} to {max:?}")]
     EmptyCrop {
-        /// Lowest centre.
+        /// Lowest center.
         min: [f32; 3],
-        /// Highest centre.
+        /// Highest center.
         max: [f32; 3],
     },
     /// A factor that makes no sense.

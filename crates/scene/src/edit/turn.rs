@@ -25,7 +25,7 @@ impl FromStr for FrameChange {
 }
 
 /// Turns about the fixed axes x, then y, then z, in degrees; each against the clock for a viewer
-/// towards whom the axis points.
+/// toward whom the axis points.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct EulerAngles(pub [f64; 3]);
 

@@ -1,6 +1,6 @@
 //! PLY files with packed integers in chunks of 256 Gaussians, as SuperSplat writes them.
 //!
-//! Bounds of positions, logarithms of scales and colours are stored per chunk; a Gaussian is four
+//! Bounds of positions, logarithms of scales and colors are stored per chunk; a Gaussian is four
 //! 32-bit integers within them, and a byte per coefficient of higher harmonics. To add results to
 //! a file without packing it again use [`super::ply::write_ply_with_columns`].
 
@@ -34,6 +34,6 @@ const BOUNDS: [&str; 12] = [
     "max_scale_y",
     "max_scale_z",
 ];
-/// Bounds of colours; without them colours are 0 to 1.
+/// Bounds of colors; without them colors are 0 to 1.
 const COLOR_BOUNDS: [&str; 6] = ["min_r", "min_g", "min_b", "max_r", "max_g", "max_b"];
 const PACKED: [&str; 4] = ["packed_position", "packed_rotation", "packed_scale", "packed_color"];

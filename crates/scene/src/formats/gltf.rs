@@ -11,10 +11,10 @@
 //! | `SCALE` | standard deviation, or its logarithm where any value of the file is negative |
 //! | `OPACITY`, else the alpha of `COLOR_0` | probability |
 //! | `SH_DEGREE_l_COEF_n` | coefficients as they are |
-//! | `COLOR_0`, if there is no `SH_DEGREE_0_COEF_0` | colour 0 to 1 |
+//! | `COLOR_0`, if there is no `SH_DEGREE_0_COEF_0` | color 0 to 1 |
 //!
 //! The names carry the prefix `KHR_gaussian_splatting:`, in older files `_`. The logarithms come
-//! from a draft of the extension; the text that followed says standard deviations. Colours of the
+//! from a draft of the extension; the text that followed says standard deviations. Colors of the
 //! space `lin_rec709_display` become sRGB, harmonics to first order. Labels come from a file beside
 //! it that [`write_scene`](crate::write_scene) wrote. Nothing is fetched from a
 //! network, and only files below the folder of the document are opened.
@@ -50,7 +50,7 @@ use std::path::Path;
 
 /// How much larger than its buffers a scene may be in memory.
 ///
-/// Quantised attributes grow by three; more comes from one mesh under several nodes. A file that
+/// Quantized attributes grow by three; more comes from one mesh under several nodes. A file that
 /// shows one mesh thousands of times would not fit, and no exporter of Gaussians writes one.
 const MAX_GROWTH: usize = 16;
 /// How much more the bytes of SPZ files may grow than others: they are compressed, four to one where
@@ -217,7 +217,7 @@ fn check_size(
         degree = degree.max(used_attributes(job.primitive, sh_rest, path)?.0);
     }
     let rest = sh_rest_len(degree) as u64;
-    // Position, size, orientation, opacity, colour and coefficients.
+    // Position, size, orientation, opacity, color and coefficients.
     let size = rows.saturating_mul(4 * (3 + 3 + 4 + 1 + 3 + 3 * rest));
     let bytes = buffers.total();
     // Views may lie over each other, but no byte counts twice.

@@ -24,7 +24,7 @@ const SCORE: &str = "score";
 ///
 /// Required are `x y z`. The others have defaults, each reported: `scale_0..2` (0.01 m; one scale
 /// counts for all axes; without `scale_2` the third axis is 1e-7 m), `rot_0..3` (`w x y z`; no
-/// rotation), `opacity` (alpha 1), `f_dc_0..2` (from `red green blue`, else grey). Read if there:
+/// rotation), `opacity` (alpha 1), `f_dc_0..2` (from `red green blue`, else gray). Read if there:
 /// `f_rest_*` (all of one degree), `nx ny nz` (unless all are 0), `segment` or `label` with their
 /// `score`, `instance`, and `lang_code_*` with the element `lang_codebook`. Other properties are
 /// skipped.
@@ -224,7 +224,7 @@ pub(super) fn rest_names(num_rest: usize) -> Vec<String> {
 /// `x y z nx ny nz f_dc_0..2 f_rest_* opacity scale_0..2 rot_0..3`, then `segment`, `score`,
 /// `instance` and `lang_code_*` if the scene has them, then `extra`; after the vertices the element
 /// `lang_codebook` where there are codes. All floats are written as they are, so that reading gives
-/// the same scene; normals are 0 where the scene has none. Language features and labelled points
+/// the same scene; normals are 0 where the scene has none. Language features and labeled points
 /// have no place in this format.
 ///
 /// # Errors

@@ -1,8 +1,8 @@
 //! `.ksplat` files of the viewer GaussianSplats3D, version 0.1: sections of buckets.
 //!
 //! A header, the headers of the sections, then section by section how full its last buckets are,
-//! the centres of its buckets and its records. Level 0 stores floats; levels 1 and 2 store
-//! positions as 16-bit offsets from the centre of the bucket, sizes and rotations as half floats,
+//! the centers of its buckets and its records. Level 0 stores floats; levels 1 and 2 store
+//! positions as 16-bit offsets from the center of the bucket, sizes and rotations as half floats,
 //! and coefficients as half floats or bytes. Reading only; writing is left to that viewer's tools,
 //! which reorder the scene and leave faint Gaussians out.
 
@@ -35,7 +35,7 @@ pub fn is_ksplat(bytes: &[u8]) -> bool {
 /// Reads a scene from the bytes of a `.ksplat` file, and the labels beside it if there are any.
 ///
 /// Rows follow the file, section by section. All headers of sections are used, however many the
-/// file calls loaded, and positions are taken as they are: the centre of the scene in the header
+/// file calls loaded, and positions are taken as they are: the center of the scene in the header
 /// only informs. Both is what the viewer does. Where sections differ in the degree of their
 /// harmonics the highest is used, with coefficients of 0 for the others. Degree 3, which that
 /// viewer does not write, is read in the same pattern.

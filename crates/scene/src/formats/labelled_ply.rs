@@ -1,4 +1,4 @@
-//! Labelled point clouds in PLY: what predictions are compared with.
+//! Labeled point clouds in PLY: what predictions are compared with.
 
 use super::label_column::{INSTANCE_RULES, SEGMENT_RULES, read_labels};
 use super::ply::PlyFile;
@@ -17,7 +17,7 @@ const INSTANCE_NAMES: [&str; 3] = ["instance", "instance_id", "scalar_instance"]
 /// Points with a class each.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct LabelledCloud {
-    /// Positions, metres. `[M, 3]`
+    /// Positions, meters. `[M, 3]`
     pub coord: Vec<[f32; 3]>,
     /// Normals as in the file. `[M, 3]`
     pub normal: Option<Vec<[f32; 3]>>,

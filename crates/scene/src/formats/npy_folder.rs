@@ -1,7 +1,7 @@
 //! The preprocessed scene: a folder with one `.npy` file per field.
 //!
-//! Values there are *activated* (opacity a probability, scale in metres, colour a byte) while
-//! [`GaussianScene`] holds them before activation; colour bytes survive both ways exactly. There is
+//! Values there are *activated* (opacity a probability, scale in meters, color a byte) while
+//! [`GaussianScene`] holds them before activation; color bytes survive both ways exactly. There is
 //! no file for spherical harmonics beyond the DC term.
 
 mod writer;
@@ -29,8 +29,8 @@ use std::path::Path;
 /// Reads a scene from a folder of `.npy` files.
 ///
 /// Required is `coord`. Defaults, each reported: `scale` (0.01 m), `quat` (no rotation), `opacity`
-/// (1), `color` (grey). Read if there: `normal`, `lang_feat`, `valid_feat_mask` (else: where any
-/// feature is not 0), labels, `instance`, and the labelled points `pc_coord`, `pc_instance` and
+/// (1), `color` (gray). Read if there: `normal`, `lang_feat`, `valid_feat_mask` (else: where any
+/// feature is not 0), labels, `instance`, and the labeled points `pc_coord`, `pc_instance` and
 /// `pc_` + the file of labels. Labels of several columns count by their first. Logits and
 /// logarithms are taken in f64.
 ///
@@ -293,7 +293,7 @@ impl Reader<'_> {
                 return Ok(Some(stem.to_owned()));
             }
             if self.folder.join(format!("pc_{stem}.npy")).is_file() {
-                // Labelled points have them; the Gaussians have none.
+                // Labeled points have them; the Gaussians have none.
                 return Ok(None);
             }
             let there = if found.is_empty() { "no labels".to_owned() } else { found.join(", ") };

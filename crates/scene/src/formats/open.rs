@@ -122,6 +122,6 @@ fn describe(path: &Path, bytes: &[u8]) -> String {
             .unwrap_or_else(|| "is a .splat file by its name only".to_owned()),
         "ksplat" => "is a .ksplat file by its name, but its header is not".to_owned(),
         "spz" => "is an .spz file by its name, but does not begin like one".to_owned(),
-        _ => "is no scene that can be recognised".to_owned(),
+        _ => "is no scene that can be recognized".to_owned(),
     }
 }

@@ -54,7 +54,7 @@ pub(crate) fn alpha_logits() -> [f32; 256] {
     std::array::from_fn(|byte| probability_to_logit(byte as f32 / 255.0))
 }
 
-/// The DC term of every colour byte.
+/// The DC term of every color byte.
 pub(crate) fn color_terms() -> [f32; 256] {
     std::array::from_fn(|byte| u8_to_dc(byte as u8))
 }
@@ -70,12 +70,12 @@ pub(crate) fn nearest_byte(fraction: f64) -> u8 {
     (fraction * 255.0 + 0.5) as u8
 }
 
-/// The colour of a DC term, 0 to 1 where it can be shown.
+/// The color of a DC term, 0 to 1 where it can be shown.
 pub(crate) fn color_of(dc: f32) -> f64 {
     f64::from(dc) * f64::from(SH_C0) + 0.5
 }
 
-/// The DC term of a colour.
+/// The DC term of a color.
 pub(crate) fn dc_of(color: f64) -> f32 {
     ((color - 0.5) / f64::from(SH_C0)) as f32
 }
@@ -85,22 +85,22 @@ pub(crate) fn log_of_scale(scale: f32) -> f32 {
     f64::from(scale).ln() as f32
 }
 
-/// The standard deviation in metres that comes back as itself.
+/// The standard deviation in meters that comes back as itself.
 pub(crate) fn scale_code(log: f32) -> f32 {
     let nearest = |log: f32| (f64::from(log).exp() as f32).min(f32::MAX);
     settle_float(nearest(log), |scale| nearest(log_of_scale(scale)))
 }
 
-/// What becomes of sizes that f32 cannot hold in metres.
-pub(crate) const SIZE_CUT: &str = "larger than an f32 can hold in metres; cut";
+/// What becomes of sizes that f32 cannot hold in meters.
+pub(crate) const SIZE_CUT: &str = "larger than an f32 can hold in meters; cut";
 /// What becomes of sizes below the smallest f32.
-pub(crate) const SIZE_VANISHES: &str = "so small that the size in metres becomes 0";
+pub(crate) const SIZE_VANISHES: &str = "so small that the size in meters becomes 0";
 /// What becomes of alphas next to 0 and 1.
 pub(crate) const ALPHA_ENDS: &str = "alpha becomes 0 or 1; the change is that of alpha";
-/// What becomes of colours that cannot be shown.
-pub(crate) const COLOR_CLIPPED: &str = "colours beyond 0 to 1 are clipped";
+/// What becomes of colors that cannot be shown.
+pub(crate) const COLOR_CLIPPED: &str = "colors beyond 0 to 1 are clipped";
 
-/// Counts a row of logarithms of sizes whose metres, as they are `stored`, are not theirs.
+/// Counts a row of logarithms of sizes whose meters, as they are `stored`, are not theirs.
 pub(crate) fn tally_sizes(
     row: usize,
     log_scale: [f32; 3],
@@ -133,7 +133,7 @@ pub(crate) fn tally_alpha(row: usize, logit: f32, is_end: bool, ends: &mut Limit
 
 /// Counts a row of DC terms with a color that no byte is near.
 pub(crate) fn tally_colors(row: usize, dc: [f32; 3], clipped: &mut LimitTally) {
-    /// As far as rounding may move a colour.
+    /// As far as rounding may move a color.
     const HALF_STEP: f64 = 0.5 / 255.0;
     let mut largest: Option<f64> = None;
     for dc in dc {
@@ -148,7 +148,7 @@ pub(crate) fn tally_colors(row: usize, dc: [f32; 3], clipped: &mut LimitTally) {
 
 /// Refuses a scene with values that reading would drop or repair, so that it would not come back.
 ///
-/// Not a number are no position, size, rotation, opacity or colour; nor are infinities, but for a
+/// Not a number are no position, size, rotation, opacity or color; nor are infinities, but for a
 /// logarithm of −inf (a size of 0) and logits of ±inf (alpha 0 and 1). A rotation of zeros has no
 /// direction.
 pub(crate) fn check_storable(scene: &GaussianScene, path: &Path) -> Result<(), SceneError> {

@@ -1,8 +1,8 @@
 //! `.splat` files: 32 bytes a Gaussian, without any header.
 //!
-//! A record is the position (3 × f32), the standard deviations (3 × f32, metres), red, green, blue
+//! A record is the position (3 × f32), the standard deviations (3 × f32, meters), red, green, blue
 //! and alpha (4 × u8, 255 = 1), and the rotation `w, x, y, z` (4 × u8, `(byte − 128) / 128`, any
-//! norm); all little-endian. No harmonics beyond the colour.
+//! norm); all little-endian. No harmonics beyond the color.
 
 mod writer;
 
@@ -17,12 +17,12 @@ use std::path::Path;
 /// Bytes of a Gaussian.
 pub(crate) const RECORD_BYTES: usize = 32;
 
-/// Records that are looked at to recognise a file.
+/// Records that are looked at to recognize a file.
 const MAX_SAMPLES: usize = 256;
 
-/// Coordinates beyond this, metres, are unusual: larger than the Earth, georeferenced or not.
+/// Coordinates beyond this, meters, are unusual: larger than the Earth, georeferenced or not.
 const MAX_COORD: f32 = 1e9;
-/// Standard deviations beyond this, metres, are unusual too.
+/// Standard deviations beyond this, meters, are unusual too.
 const MAX_SCALE: f32 = 1e7;
 
 /// Whether these bytes, a whole file, are records of Gaussians.
@@ -30,7 +30,7 @@ const MAX_SCALE: f32 = 1e7;
 /// There is no magic number, so up to 256 records, evenly spaced and with the first, are looked at:
 /// nine in ten must have a finite position, finite sizes and a rotation of about unit norm, and half
 /// of them a position within ±1e9 m and sizes up to 1e7 m. A few bad values do not matter; a file of
-/// zeros and text are not recognised.
+/// zeros and text are not recognized.
 pub fn is_splat(bytes: &[u8]) -> bool {
     splat_problem(bytes).is_none()
 }

@@ -1,4 +1,4 @@
-//! The formats: what each is called, how its files are recognised, what reads and writes them.
+//! The formats: what each is called, how its files are recognized, what reads and writes them.
 //!
 //! Everything else that knows of formats (opening, writing, messages, the choices of a command line,
 //! searches for scenes in folders) asks this table. A new format is a file of its own, its `mod` in
@@ -77,14 +77,14 @@ pub struct FormatRow {
     pub about: &'static str,
     /// What names of its files end in, lower case, with the dot; without a dot it is the whole name.
     pub endings: &'static [&'static str],
-    /// Where a whole file of this kind is recognised by its bytes, and read from them. Formats that
-    /// come as several files, and PLY, are recognised in `open`.
+    /// Where a whole file of this kind is recognized by its bytes, and read from them. Formats that
+    /// come as several files, and PLY, are recognized in `open`.
     pub(super) reader: Option<(Recognize, Read)>,
     pub(super) writer: Option<Writer>,
     /// The frame that it prescribes; readers and writers convert from and to it. `None`: it says
     /// nothing, and the numbers of the file are those in memory.
     pub frame: Option<Frame>,
-    /// Arrays that it keeps, of those that most do not: language features and labelled points,
+    /// Arrays that it keeps, of those that most do not: language features and labeled points,
     /// normals, harmonics.
     pub(super) keeps: Keeps,
 }

@@ -167,7 +167,7 @@ impl fmt::Display for WriteReport {
 /// nothing of the kind.
 ///
 /// # Errors
-/// If the scene is empty or its arrays do not match, if a position, size, rotation, opacity or colour
+/// If the scene is empty or its arrays do not match, if a position, size, rotation, opacity or color
 /// is not a number, if there is a file already (of the scene or of its labels) and
 /// `options.overwrite` is not set, if the format cannot hold the scene, if `progress` says stop, or
 /// if the file cannot be written. Then nothing is left behind and an old file is as it was.

@@ -2,11 +2,11 @@
 
 use serde::Serialize;
 
-/// Thickness of Gaussians that have two scales only, metres.
+/// Thickness of Gaussians that have two scales only, meters.
 pub const FLAT_SCALE: f32 = 1e-7;
-/// Size of Gaussians without any scale, metres: half of the usual voxel.
+/// Size of Gaussians without any scale, meters: half of the usual voxel.
 pub const DEFAULT_SCALE: f32 = 0.01;
-/// Grey of Gaussians without colour, a byte.
+/// Gray of Gaussians without color, a byte.
 pub const DEFAULT_GREY: u8 = 128;
 
 /// What is done about a value.
@@ -115,7 +115,7 @@ value_rules! {
     FeatureNotFinite: "lang_feat", "NaN or infinite", Repair, "the row becomes 0 and is masked out";
     CodeNotFinite: "lang_code", "NaN or infinite", Repair, "the code becomes 0: no feature";
     MaskInvalid: "valid_feat_mask", "neither 0 nor 1", Repair, "read as 1";
-    PointNotFinite: "pc_coord", "NaN or infinite", Repair, "the labelled point is left out";
+    PointNotFinite: "pc_coord", "NaN or infinite", Repair, "the labeled point is left out";
     AnyExtreme: "any", "denormal, huge, or -0", Accept, "kept";
     AnyUnreadable: "any", "text or bytes that are no number", Refuse, "an error";
 }

@@ -114,7 +114,7 @@ fn files(folder: &Path, part: Add<'_>) {
         ("text table", &table, |at| Some(TextTable::read(at, None).ok()?.len())),
         ("label set", set, |at| Some(LabelSet::read(at).ok()?.len())),
         ("class map", map, |at| ClassMap::read(at).ok().map(|_| 2)),
-        ("labelled cloud", cloud, |at| {
+        ("labeled cloud", cloud, |at| {
             let (cloud, _) = read_labelled_ply(at, Policy::Repair, None).ok()?;
             assert_eq!(cloud.coord.len(), cloud.segment.len());
             Some(cloud.coord.len())

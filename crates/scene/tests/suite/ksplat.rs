@@ -158,7 +158,7 @@ fn counts_that_lie() {
         (section, "at most"),
         (section + 4, "Gaussians of 42 bytes"),
         (section + 8, "Gaussians in its buckets"),
-        (section + 12, "centres of buckets"),
+        (section + 12, "centers of buckets"),
         (section + 20, "65535 bytes"),
         (section + 32, "centres"),
         (section + 36, "counts of buckets"),

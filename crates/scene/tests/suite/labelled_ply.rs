@@ -1,4 +1,4 @@
-//! Labelled point clouds.
+//! Labeled point clouds.
 
 use scenesplat_scene::formats::labelled_ply::{LabelledCloud, read_labelled_ply};
 use scenesplat_scene::value_policy::Rule;

@@ -10,7 +10,7 @@ fn decode(bytes: &[u8]) -> Result<Picture, String> {
 }
 
 /// A baseline JPEG file of flat blocks of 8 × 8: `blocks[k]` are the values of block k, one per
-/// component. Quantised by 8, the mean of a block is the number in the file.
+/// component. Quantized by 8, the mean of a block is the number in the file.
 fn jpeg(width: u16, height: u16, components: u8, blocks: &[Vec<u8>]) -> Vec<u8> {
     let mut out = vec![0xff, 0xd8];
     let segment = |out: &mut Vec<u8>, marker: u8, body: &[u8]| {

@@ -148,7 +148,7 @@ fn what_is_written_is_recognized_or_not_written() {
             let error = write_as(&scene, path, SceneFormat::Splat, &options).unwrap_err();
             let text = error.to_string();
             assert!(text.contains("looked at 0 have a position within ±1e9 m"), "{text}");
-            assert!(text.contains("scale the scene to metres"), "{text}");
+            assert!(text.contains("scale the scene to meters"), "{text}");
         }
         assert!(bytes == std::fs::read(&path).unwrap(), "the old file is as it was");
         assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 1);

@@ -51,7 +51,7 @@ pub(crate) fn upscale(logits: &[f32], side: usize, place: Place, offset: f32) ->
                 *out = (1.0 - t) * a + t * b;
                 top = out.max(top);
             }
-            // Between neighbours there is nothing above the larger: most rows of most masks are empty.
+            // Between neighbors there is nothing above the larger: most rows of most masks are empty.
             if top <= -offset.abs() {
                 return bits;
             }

@@ -24,7 +24,7 @@ const BLUE: [u8; 3] = [40, 60, 200];
 const GREY: [u8; 3] = [128, 128, 128];
 const OTHER_GREY: [u8; 3] = [136, 128, 128];
 
-/// A red and a blue rectangle on two greys, on borders of 4 × 4 pixels.
+/// A red and a blue rectangle on two grays, on borders of 4 × 4 pixels.
 fn picture() -> RgbPicture {
     RgbPicture::from_fn(64, 64, |x, y| match (x, y) {
         (8..=27, 8..=39) => RED,
@@ -34,12 +34,12 @@ fn picture() -> RgbPicture {
     })
 }
 
-/// As SAM 2 sees a colour.
+/// As SAM 2 sees a color.
 fn standardised(color: [u8; 3]) -> [f32; 3] {
     [0, 1, 2].map(|c| (f32::from(color[c]) / 255.0 - crate::sam2::MEAN[c]) / crate::sam2::STD[c])
 }
 
-/// The logit that `decoder.onnx` gives where a colour is, after a click on another.
+/// The logit that `decoder.onnx` gives where a color is, after a click on another.
 fn logit(limit: f32, here: [u8; 3], clicked: [u8; 3]) -> f32 {
     let (a, b) = (standardised(here), standardised(clicked));
     let apart = (0..3).map(|c| (a[c] - b[c]).powi(2)).sum::<f32>();
@@ -50,7 +50,7 @@ fn logit(limit: f32, here: [u8; 3], clicked: [u8; 3]) -> f32 {
 fn clicks_are_answered_as_the_file_says() {
     let Some(runtime) = runtime() else { return };
     let picture = picture();
-    // The blue one, the red one and grey; one more than a lot of the file with a fixed number.
+    // The blue one, the red one and gray; one more than a lot of the file with a fixed number.
     let clicks = [[45.0, 30.0], [17.0, 25.0], [3.0, 60.0], [40.0, 40.0], [54.0, 5.0]];
     let colors = [BLUE, RED, GREY, BLUE, OTHER_GREY];
     for (folder, kinds, first) in [("", 3, 0.4), ("fixed", 4, 0.1)] {

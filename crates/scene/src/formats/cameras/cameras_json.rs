@@ -1,6 +1,6 @@
 //! `cameras.json` of the original trainer of Gaussian splats.
 //!
-//! A list with one object for each picture: `position` is the camera's centre, the rows of
+//! A list with one object for each picture: `position` is the camera's center, the rows of
 //! `rotation` are those of the camera-to-world matrix (axes right, down, forward), focal lengths are
 //! in pixels. There is no lens and no principal point: it is the middle of the picture. `cx` and
 //! `cy` are read if they are there.
@@ -118,7 +118,7 @@ pub fn write_cameras_json(cameras: &[Camera], path: &Path) -> Result<(), SceneEr
     Ok(AtomicFile::write(path, &bytes)?)
 }
 
-/// The centre, rounded to about 12 digits of its largest coordinate.
+/// The center, rounded to about 12 digits of its largest coordinate.
 ///
 /// A reader turns it into a translation and a writer back: the last digits of that would change
 /// from file to file, and the rounding takes them away.

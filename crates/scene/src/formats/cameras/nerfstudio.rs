@@ -141,7 +141,7 @@ fn read_frame(file: &Level, frame: &Level, name: &str, path: &Path) -> Result<Ca
     })
 }
 
-/// The camera's axes (right, down, forward) as columns, and its centre.
+/// The camera's axes (right, down, forward) as columns, and its center.
 fn pose(matrix: &[[f64; 4]]) -> Result<(Matrix3, [f64; 3]), String> {
     let rows = match matrix {
         [a, b, c] => [a, b, c],

@@ -4,12 +4,12 @@
 use super::code::{STEPS_8, STEPS_11_10_11, lerp};
 use crate::formats::packed_values::{color_of, dc_of, settle};
 
-/// One number of every Gaussian of a chunk: a coordinate, a log-scale or a colour.
+/// One number of every Gaussian of a chunk: a coordinate, a log-scale or a color.
 #[derive(Clone, Copy)]
 pub(super) struct Channel {
     /// The largest code.
     steps: f64,
-    /// Whether the file holds a colour where the scene has its DC term.
+    /// Whether the file holds a color where the scene has its DC term.
     is_color: bool,
 }
 

@@ -5,7 +5,7 @@ use std::f64::consts::SQRT_2;
 
 /// Largest code of each part of a position or scale.
 pub(super) const STEPS_11_10_11: [f64; 3] = [2047.0, 1023.0, 2047.0];
-/// Largest code of a colour.
+/// Largest code of a color.
 pub(super) const STEPS_8: f64 = 255.0;
 
 /// The three parts of a word, 11, 10 and 11 bits.

@@ -1,4 +1,4 @@
-//! The order of rows in a compressed PLY file: neighbours share a chunk.
+//! The order of rows in a compressed PLY file: neighbors share a chunk.
 
 use super::CHUNK_ROWS;
 use crate::SceneError;

@@ -15,7 +15,7 @@ use rayon::prelude::*;
 
 /// Logarithms of scales beyond ± this are cut, as in the reference.
 const MAX_LOG_SCALE: f32 = 20.0;
-/// DC terms beyond ± this are cut; their colours would not be numbers of f32 after rounding.
+/// DC terms beyond ± this are cut; their colors would not be numbers of f32 after rounding.
 const MAX_DC: f32 = 1e30;
 /// Coefficients beyond ± this are cut.
 const MAX_REST: f32 = 4.0;
@@ -49,7 +49,7 @@ const LIMITS: [(&str, &str); 4] = [
 ///
 /// # Errors
 /// As [`write_scene`](crate::write_scene), which also looks for an old file; if a position, size,
-/// rotation, opacity or colour is not a number, or there are more than 2³² − 1 rows.
+/// rotation, opacity or color is not a number, or there are more than 2³² − 1 rows.
 pub(in crate::formats) fn write_compressed_ply(
     scene: &GaussianScene,
     file: &AtomicFile,

@@ -12,7 +12,7 @@ use crate::{GaussianScene, RepairReport, SceneError};
 use rayon::prelude::*;
 use std::path::Path;
 
-/// The colour space that is not that of scenes.
+/// The color space that is not that of scenes.
 const LINEAR: &str = "lin_rec709_display";
 
 /// The accessor of a Gaussian attribute under its present name or an older one.
@@ -74,7 +74,7 @@ pub(super) struct Attributes<'a> {
     color: Option<View<'a>>,
     dc: Option<View<'a>>,
     rest: Vec<View<'a>>,
-    /// Whether colours are linear light instead of sRGB.
+    /// Whether colors are linear light instead of sRGB.
     linear: bool,
 }
 
@@ -237,7 +237,7 @@ impl<'a> Attributes<'a> {
         let mut color: Vec<[f32; 3]> = rows_of(view);
         unsigned(view, color.as_flattened_mut());
         let dc = |v: f32| ((f64::from(v) - 0.5) / f64::from(SH_C0)) as f32;
-        // A colour of bytes is to come back as the same bytes.
+        // A color of bytes is to come back as the same bytes.
         let byte = |v: f32| u8_to_dc((v * 255.0).round() as u8);
         let is_byte = view.component == Component::U8;
         color.par_iter_mut().for_each(|c| *c = c.map(|v| if is_byte { byte(v) } else { dc(v) }));
@@ -252,7 +252,7 @@ fn rows_of<const W: usize>(view: &View<'_>) -> Vec<[f32; W]> {
     rows
 }
 
-/// Integer colours are fractions even where the exporter forgot to say so.
+/// Integer colors are fractions even where the exporter forgot to say so.
 fn unsigned(view: &View<'_>, values: &mut [f32]) {
     if !view.is_fraction() && matches!(view.component, Component::U8 | Component::U16) {
         let largest = view.component.divisor() as f32;

@@ -8,7 +8,7 @@ pub(super) const HEADER_BYTES: usize = 4096;
 pub(super) const SECTION_HEADER_BYTES: usize = 1024;
 /// The highest level of compression.
 pub(super) const MAX_LEVEL: u16 = 2;
-/// Bytes of the centre of a bucket.
+/// Bytes of the center of a bucket.
 const CENTER_BYTES: usize = 12;
 /// Offsets of positions go from 0 to twice this, unless a section says otherwise.
 const DEFAULT_RANGE: u32 = 32_767;
@@ -45,7 +45,7 @@ pub(super) struct Buckets<'a> {
     full_count: usize,
     size: usize,
     centers: &'a [[u8; CENTER_BYTES]],
-    /// What is taken from an offset, and the length of its step in metres.
+    /// What is taken from an offset, and the length of its step in meters.
     pub(super) range: f64,
     pub(super) step: f64,
 }
@@ -68,7 +68,7 @@ impl Buckets<'_> {
         self.partial_starts.get(bucket - self.full_count + 1).copied().unwrap_or(usize::MAX)
     }
 
-    /// The centre of a bucket, metres.
+    /// The center of a bucket, meters.
     pub(super) fn center(&self, bucket: usize) -> [f64; 3] {
         [0, 4, 8].map(|at| f64::from(f32_at(&self.centers[bucket], at)))
     }
@@ -160,7 +160,7 @@ fn parse_section<'a>(
     let (bucket_count, partial_count) = (field(12), field(36));
     let center_bytes = usize::from(u16_at(header, 20));
     if file.level > 0 && bucket_count > 0 && center_bytes != CENTER_BYTES {
-        return Err(format!("has {center_bytes} bytes for the centre of a bucket, not 12"));
+        return Err(format!("has {center_bytes} bytes for the center of a bucket, not 12"));
     }
     let mut take = |what: &str, count: usize, size: usize| {
         let left = bytes.len() - file.end;
@@ -172,7 +172,7 @@ fn parse_section<'a>(
         Ok::<_, String>(&bytes[start..file.end])
     };
     let fill = take("counts of buckets", partial_count, 4)?;
-    let centers = take("centres of buckets", bucket_count, center_bytes)?;
+    let centers = take("centers of buckets", bucket_count, center_bytes)?;
     // What follows starts after all the records there is room for.
     let records = take("Gaussians", max_rows, record_bytes)?;
     let records = &records[..rows * record_bytes];
@@ -195,7 +195,7 @@ fn parse_buckets<'a>(
     let fill = fill.as_chunks::<4>().0;
     if full_count.saturating_add(fill.len()) > centers.len() {
         return Err(format!(
-            "has {full_count} full and {} other buckets, but {} centres",
+            "has {full_count} full and {} other buckets, but {} centers",
             fill.len(),
             centers.len()
         ));

@@ -63,8 +63,8 @@ pub fn write_npy_folder(
 
 /// As [`write_npy_folder`], and says what was written and what the format could not hold.
 ///
-/// Reported are sizes that f32 cannot hold in metres (cut, or 0), alphas that become 0 or 1, and
-/// colours beyond 0 to 1 (clipped).
+/// Reported are sizes that f32 cannot hold in meters (cut, or 0), alphas that become 0 or 1, and
+/// colors beyond 0 to 1 (clipped).
 ///
 /// # Errors
 /// As [`write_npy_folder`]; also if `progress` says stop.

@@ -218,7 +218,7 @@ fn means(sorted: &[f32], entries: &[f32]) -> Vec<f32> {
         ((sum / (end - start) as f64) as f32).clamp(sorted[start], sorted[end - 1])
     };
     let mut out: Vec<f32> = shares.par_iter().map(mean).collect();
-    // Rounded to f32, neighbours may have become one.
+    // Rounded to f32, neighbors may have become one.
     out.dedup();
     out
 }

@@ -13,7 +13,7 @@ const MOST_GROWTH: f64 = 2.0;
 
 /// A part of space with some of the Gaussians.
 pub(super) struct Leaf {
-    /// Rows of the scene, neighbours near each other.
+    /// Rows of the scene, neighbors near each other.
     pub(super) rows: Vec<u32>,
 }
 
@@ -42,7 +42,7 @@ fn split(scene: &GaussianScene, rows: &mut [u32], leaves: &mut Vec<Leaf>) -> Nod
     Node::Halves(Box::new([low, split(scene, high, leaves)]))
 }
 
-/// Puts neighbours near each other, for textures that compress well.
+/// Puts neighbors near each other, for textures that compress well.
 fn arrange(scene: &GaussianScene, rows: &mut [u32]) {
     if rows.len() > FINEST {
         let (low, high) = halve(scene, rows);
@@ -88,7 +88,7 @@ impl Leaf {
         (by_cover.into_iter().map(|(_, i)| self.rows[i]).collect(), growth)
     }
 
-    /// What the leaf reaches: its centres, and three standard deviations around them.
+    /// What the leaf reaches: its centers, and three standard deviations around them.
     pub(super) fn bound(&self, scene: &GaussianScene) -> [[f64; 3]; 2] {
         let (mut min, mut max) = ([f64::INFINITY; 3], [f64::NEG_INFINITY; 3]);
         for &row in &self.rows {

@@ -1,4 +1,4 @@
-//! The order of Gaussians in the textures: neighbours in space should be neighbours in a texture.
+//! The order of Gaussians in the textures: neighbors in space should be neighbors in a texture.
 
 use crate::formats::compressed_ply::order::spread;
 use rayon::prelude::*;

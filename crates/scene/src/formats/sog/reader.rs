@@ -17,7 +17,7 @@ pub(super) const ROWS_FOR_TABLE: usize = 32_768;
 /// Centroids of the palette in a line of their texture.
 pub(super) const CENTROIDS_PER_LINE: usize = 64;
 /// Rows that any file may have, and rows for each byte of its positions beyond that. Real files
-/// have a quarter of a row per byte; textures of one colour would allow any number.
+/// have a quarter of a row per byte; textures of one color would allow any number.
 const FREE_ROWS: usize = 1 << 18;
 const ROWS_PER_BYTE: u64 = 32;
 /// Texels that any texture may have.

@@ -113,7 +113,7 @@ pub(super) fn encode(
     path: &Path,
 ) -> Result<Vec<u8>, SceneError> {
     let color = if texels.len() == width * height * 4 { ColorType::Rgba8 } else { ColorType::Rgb8 };
-    // Which is smaller depends on whether codes of neighbours are near, and costs little to try.
+    // Which is smaller depends on whether codes of neighbors are near, and costs little to try.
     let attempt = |use_predictor_transform: bool| -> Result<Vec<u8>, SceneError> {
         let mut params = EncoderParams::default();
         params.use_predictor_transform = use_predictor_transform;

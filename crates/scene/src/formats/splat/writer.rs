@@ -30,17 +30,17 @@ const LIMITS: [(&str, &str); 4] = [
 /// Rows keep their order: programs that write this format commonly sort by size times alpha, for
 /// viewers that show a file while it loads, but the order is not part of the format. Bytes are the
 /// nearest ones, where the original converter cuts off. A file that was written here comes back
-/// byte for byte when it is read and written again. Of other programs' files positions, colours and
+/// byte for byte when it is read and written again. Of other programs' files positions, colors and
 /// alphas do; sizes pass through a logarithm of 32 bits (some 1e-6 of them), and rotations come out
 /// with unit norm.
 ///
-/// Reported are colours beyond 0 to 1 (clipped), harmonics (left out), alphas that become 0 or 1,
+/// Reported are colors beyond 0 to 1 (clipped), harmonics (left out), alphas that become 0 or 1,
 /// and sizes that f32 cannot hold.
 ///
 /// # Errors
 /// As [`write_scene`](super::super::write_scene), which also looks for an old file; if a position,
-/// size, rotation, opacity or colour is not a number; if most Gaussians are so far away or so large
-/// that the file would not be recognised as one of this format, which has no mark of its own.
+/// size, rotation, opacity or color is not a number; if most Gaussians are so far away or so large
+/// that the file would not be recognized as one of this format, which has no mark of its own.
 pub(in crate::formats) fn write_splat(
     scene: &GaussianScene,
     file: &AtomicFile,
@@ -73,8 +73,8 @@ pub(in crate::formats) fn write_splat(
         }
     }
     if let Some(problem) = splat_problem(InputFile::of_written(file)?.bytes()) {
-        let problem = format!("would not be recognised as a .splat file: it {problem}");
-        let help = "scale the scene to metres, or choose another format";
+        let problem = format!("would not be recognized as a .splat file: it {problem}");
+        let help = "scale the scene to meters, or choose another format";
         return Err(SceneError::format(path, problem, help));
     }
     report.limits(LIMITS, limits);

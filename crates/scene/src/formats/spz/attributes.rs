@@ -10,8 +10,8 @@ use crate::formats::packed_values::alpha_logits;
 use crate::gaussian_scene::sigmoid;
 use half::f16;
 
-/// What colours are multiplied by before they become bytes: less than the DC basis function, so
-/// that colours outside 0 to 1 fit, too.
+/// What colors are multiplied by before they become bytes: less than the DC basis function, so
+/// that colors outside 0 to 1 fit, too.
 const COLOR_SCALE: f32 = 0.15;
 /// Largest magnitude of a position code. The lowest of 24 bits, −2²³, is not used: with it, a
 /// scene could fit into one more fractional bit after it was rounded than before.
@@ -128,12 +128,12 @@ pub(super) fn encode_position(value: f32, bits: u8) -> (i32, bool) {
 pub(super) fn encode_rest(value: f32, bucket: i32) -> u8 {
     // Far outside of the range the sum below must not overflow; NaN becomes 0.
     let code = (value * 128.0).round().clamp(-1024.0, 1024.0) as i32 + 128;
-    // Division towards 0 is that of the reference; what it does below 0 is clipped anyway.
+    // Division toward 0 is that of the reference; what it does below 0 is clipped anyway.
     let code = (code + bucket / 2) / bucket * bucket;
     code.clamp(0, 255) as u8
 }
 
-/// Distance of neighbouring codes of coefficient `k`, 0-based from the first of band 1.
+/// Distance of neighboring codes of coefficient `k`, 0-based from the first of band 1.
 pub(super) fn rest_bucket(k: usize) -> i32 {
     if k < 3 { 1 << (8 - 5) } else { 1 << (8 - 4) }
 }

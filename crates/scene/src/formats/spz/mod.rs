@@ -8,7 +8,7 @@
 //! # What a block holds
 //! | block | bytes a row | value |
 //! |---|---|---|
-//! | positions | 9 (version 1: 6) | 24-bit fixed point, metres (version 1: f16) |
+//! | positions | 9 (version 1: 6) | 24-bit fixed point, meters (version 1: f16) |
 //! | alphas | 1 | `alpha = b / 255` |
 //! | colors | 3 | `dc = (b / 255 − 0.5) / 0.15` |
 //! | scales | 3 | `ln σ = b / 16 − 10` |

@@ -11,7 +11,7 @@ pub(crate) fn times(a: &Matrix4, b: &Matrix4) -> Matrix4 {
     std::array::from_fn(|i| std::array::from_fn(|j| cell(i, j)))
 }
 
-/// From right-handed y-up with +z towards the viewer's front to right, down, forward.
+/// From right-handed y-up with +z toward the viewer's front to right, down, forward.
 pub(crate) const TO_CANONICAL: Matrix4 =
     [[-1., 0., 0., 0.], [0., -1., 0., 0.], [0., 0., 1., 0.], [0., 0., 0., 1.]];
 
@@ -53,7 +53,7 @@ pub(crate) fn check_moved(before: &GaussianScene, after: &GaussianScene, by: &Ma
     check_unit(after);
 }
 
-/// The harmonics of one colour channel in direction `d`.
+/// The harmonics of one color channel in direction `d`.
 pub(crate) fn shine(scene: &GaussianScene, row: usize, channel: usize, d: [f64; 3]) -> f64 {
     let width = scene.sh_rest_len() * 3;
     let rest = &scene.sh_rest[row * width..(row + 1) * width];
