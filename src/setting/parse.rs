@@ -177,7 +177,7 @@ mod tests {
             ("voxel=nan", "voxel", "above 0"),
             ("voxel=inf", "voxel", "above 0"),
             ("voxel=", "voxel", "above 0"),
-            ("voxel=2cm", "voxel", "metres"),
+            ("voxel=2cm", "voxel", "meters"),
             ("net=", "net", "embedded"),
             ("precision=f16", "precision", "bf16"),
             ("precision=", "precision", "f32"),

@@ -187,7 +187,7 @@ fn lifted_labels_are_drawn_upright() {
             "lift-labels",
             scene,
             &out,
-            &format!("{words} --depth off --preview-size=360 {more}"),
+            &format!("{words} --depth off --preview-size=720 {more}"),
         );
         world.0.path(&out).join("preview.png")
     };

@@ -49,7 +49,7 @@ pub fn describe(query: &str, found: &Selection, coord: &[[f32; 3]]) {
     let [center, low, high] = [place.center, place.low.map(f64::from), place.high.map(f64::from)]
         .map(|[x, y, z]| format!("({x:.2}, {y:.2}, {z:.2})"));
     print(&format!(
-        "{query:?}: {} of {} Gaussians, centre {center} m, box {low} to {high} m, best score \
+        "{query:?}: {} of {} Gaussians, center {center} m, box {low} to {high} m, best score \
          {best:.4}",
         place.count,
         found.selected.len(),

@@ -44,6 +44,6 @@ mod tests {
             );
             assert!(DOCUMENTATION.contains(&said), "{said}");
         }
-        assert!(DOCUMENTATION.contains(&format!("{} cases that run", due.len())));
+        assert!(DOCUMENTATION.contains(&format!("with {} cases", due.len())));
     }
 }

@@ -97,11 +97,11 @@ value_rules! {
     OpacityInfinite: "opacity", "logit -inf or +inf", Accept, "kept: alpha 0 or 1";
     OpacityOutside: "opacity", "probability outside 0 to 1 (folder of .npy, glTF)", Repair, "clipped to 0 or 1";
     OpacityMissing: "opacity", "opacity missing", Repair, "alpha 1";
-    ColorNan: "color", "DC term NaN", Repair, "mid-grey, DC term 0";
-    ColorInfinite: "color", "DC term infinite", Repair, "clipped to colour 0 or 1";
-    ColorOutside: "color", "DC term beyond colour 0 to 1", Accept, "kept, clipped when turned into bytes";
+    ColorNan: "color", "DC term NaN", Repair, "mid-gray, DC term 0";
+    ColorInfinite: "color", "DC term infinite", Repair, "clipped to color 0 or 1";
+    ColorOutside: "color", "DC term beyond color 0 to 1", Accept, "kept, clipped when turned into bytes";
     ColorFromBytes: "color", "red, green, blue instead of a DC term", Accept, "DC term of the same byte";
-    ColorMissing: "color", "colour missing", Repair, "mid-grey, byte 128";
+    ColorMissing: "color", "color missing", Repair, "mid-gray, byte 128";
     RestNotFinite: "sh_rest", "NaN or infinite", Repair, "the coefficient becomes 0";
     RestCount: "sh_rest", "a number of f_rest columns other than 0, 9, 24, 45, 72", Refuse, "an error";
     NormalNotFinite: "normal", "NaN or infinite", Repair, "becomes 0, 0, 0: unknown";

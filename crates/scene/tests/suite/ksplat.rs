@@ -160,7 +160,7 @@ fn counts_that_lie() {
         (section + 8, "Gaussians in its buckets"),
         (section + 12, "centers of buckets"),
         (section + 20, "65535 bytes"),
-        (section + 32, "centres"),
+        (section + 32, "centers"),
         (section + 36, "counts of buckets"),
         (section + 40, "degree 65535"),
     ] {
