@@ -21,6 +21,7 @@ pub(crate) type Uploaded<L, T> = Result<T, <L as Launcher>::Error>;
 /// A pass of an operation. Shapes were checked before.
 pub(crate) trait Launches {
     /// Operation and pass, for counts.
+    #[cfg_attr(not(feature = "emulation"), allow(dead_code, reason = "only the emulator counts"))]
     fn name(&self) -> (&'static str, Pass);
 
     /// Starts the kernels.
