@@ -1,11 +1,16 @@
 //! What is done to a scene before a network reads it: networks know rooms with +z up, in meters.
 //!
-//! A room that lies on its side loses most labels, and nothing in its file says how it lies. So up
-//! and unit are estimated (as [`inspect`](crate::inspect::inspect) does); where the evidence suffices, a copy is
-//! turned and scaled for the network alone, and where it does not, a [`Remark`] says so. Outputs
-//! belong to rows, so they need no turning back. A floor out of level is made level; for
-//! networks that know rooms along the axes ([`AlignmentSettings::square`]) its walls are
-//! brought along the axes. Heights are measured from the [floors](Alignment::floors) of the copy.
+//! A room that lies on its side loses most labels, and few files say how it lies. So up and unit are
+//! estimated (as [`inspect`](crate::inspect::inspect) does), and a copy is turned and scaled for the network
+//! alone. Up may be any direction, so the copy is level. Where the evidence is close, a network may decide
+//! ([`judge`]); what stays open is a [`Remark`]. Outputs belong to rows, so they need no turning back. For
+//! networks that know rooms along the axes ([`AlignmentSettings::square`]) walls are brought along the
+//! axes. Heights are measured from the [floors](Alignment::floors) of the copy.
+
+pub mod judge;
+mod report;
+
+pub use report::{AlignmentReport, Alternative};
 
 use crate::inspect::{
     LengthUnit, UnitGuess, guess_unit, is_surely_no_metre, may_be_no_metre, usual_spacing,
@@ -15,7 +20,7 @@ use scenesplat_scene::edit::{Walls, level};
 use scenesplat_scene::frame::Matrix3;
 use scenesplat_scene::similarity::{matrix_to_quat, quat_product};
 use scenesplat_scene::{
-    Bounds, Floors, GaussianScene, Similarity, UpAxis, UpGuess, guess_up_within, robust_bounds,
+    Bounds, Floors, GaussianScene, Similarity, StatedUp, Up, UpGuess, guess_up, robust_bounds,
 };
 use serde::Serialize;
 use std::borrow::Cow;
@@ -26,15 +31,17 @@ const FEWEST_ROWS: usize = 100;
 /// Rows by which tilt, yaw, floors and walls are judged.
 const SAMPLE: usize = 200_000;
 
-/// A floor is made level from so many degrees on, and up to so many: less is noise, more no tilt but
-/// a slope.
-const TILT: [f64; 2] = [1.0, 20.0];
+/// A tilt is a remark from so many degrees on; less changes no label.
+const TILT: f64 = 1.0;
+
+/// Where the user names an axis, a floor is made level up to so many degrees: more is no tilt but a slope.
+const MOST_TILT: f64 = 20.0;
 
 /// Level, the floor must hold so much more than before: a scene without one is not turned.
 const SHARPER: f64 = 1.05;
 
 /// Walls are brought along the axes from so many degrees on.
-const LEAST_YAW: f64 = 2.0;
+const LEAST_YAW: f64 = 1.0;
 
 /// Heights of rooms, meters; a closed room outside them is in another unit, and read as one of the
 /// usual height.
@@ -47,7 +54,9 @@ const USUAL_HEIGHT: f64 = 2.6;
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
 pub struct AlignmentSettings {
     /// Which way is up; estimated if not given.
-    pub up: Option<UpAxis>,
+    pub up: Option<Up>,
+    /// What the scene's file states about up, which decides where the scene leaves it open.
+    pub stated_up: StatedUp,
     /// What one unit of the scene is, meters; estimated if not given. Finite, above 0.
     pub metres_per_unit: Option<f64>,
     /// Height of the floor along up, units of the scene (once level); looked for if not given. Finite.
@@ -66,18 +75,26 @@ pub struct Alignment {
     /// What one unit is, where it is not clearly a meter.
     pub unit: Option<UnitGuess>,
     /// The direction that is turned to +z; +z for none.
-    pub turned_from: UpAxis,
+    pub turned_from: Up,
+    /// Whether the network decided between directions.
+    pub judged: bool,
     /// Factor that brings the scene to meters; 1 for none.
     pub scale: f64,
-    /// Degrees by which the floor was out of level, after the turn; 0 if nothing was done about it.
+    /// Degrees by which the floor was out of level, after the turn of the nearest axis; 0 if nothing
+    /// was done about it.
     pub tilt: f64,
     /// Degrees by which the walls were off the axes, after that; 0 if nothing was done about it.
     pub yaw: f64,
     /// Floors of the scene as the network reads it, meters.
     pub floors: Floors,
-    /// All turns together.
+    /// All turns together, and all but that about the vertical.
     #[serde(skip)]
     rotation: Matrix3,
+    #[serde(skip)]
+    upright: Matrix3,
+    /// What was subtracted from the positions of the scene when it was read.
+    #[serde(skip)]
+    origin: [f64; 3],
     /// What a user must know, the most important first.
     pub remarks: Vec<Remark>,
 }
@@ -89,7 +106,7 @@ pub enum Remark {
     /// A turned copy is read.
     Turned {
         /// What was up.
-        from: UpAxis,
+        from: Up,
     },
     /// A level copy is read.
     Leveled {
@@ -108,10 +125,10 @@ pub enum Remark {
         /// Height of its walls, units.
         height: f64,
     },
-    /// Up is not clear; the scene is read as if it were +z.
+    /// Up is not clear.
     UpUnclear {
-        /// The likeliest direction.
-        likely: UpAxis,
+        /// The direction that is taken.
+        likely: Up,
         /// How sure.
         confidence: f64,
     },
@@ -139,17 +156,31 @@ impl Remark {
 impl Alignment {
     /// Estimates the alignment of a scene. The same for any number of threads.
     pub fn of(scene: &GaussianScene, settings: &AlignmentSettings) -> Self {
+        let up = settings.up.map_or_else(|| guess_up(scene, settings.stated_up), UpGuess::given);
+        Self::with_up(scene, settings, up, false)
+    }
+
+    /// As [`of`](Self::of) for what is known or decided about up; `judged`: by the network.
+    fn with_up(
+        scene: &GaussianScene,
+        settings: &AlignmentSettings,
+        up: UpGuess,
+        judged: bool,
+    ) -> Self {
         let robust = robust_bounds(&scene.coord);
         let is_judged = scene.len() >= FEWEST_ROWS;
         let mut alignment = Self {
-            up: settings.up.map_or_else(|| guess_up_within(scene, &robust), UpGuess::given),
+            up,
             unit: None,
-            turned_from: UpAxis::PlusZ,
+            turned_from: Up::PLUS_Z,
+            judged,
             scale: 1.0,
             tilt: 0.0,
             yaw: 0.0,
             floors: Floors::given(0.0),
-            rotation: UpAxis::PlusZ.upright(),
+            rotation: Up::PLUS_Z.upright(),
+            upright: Up::PLUS_Z.upright(),
+            origin: [0.0; 3],
             remarks: Vec::new(),
         };
         if !settings.as_is {
@@ -199,11 +230,13 @@ impl Alignment {
 
     /// Tilt, yaw and, where nothing else says it, the unit.
     fn decide_frame(&mut self, sample: &mut GaussianScene, settings: &AlignmentSettings) {
-        // A scene that lies anyhow has no floor to be level.
-        let is_upright = self.up.given || self.up.is_sure();
-        if is_upright {
+        // A scene that lies anyhow has no walls and no height.
+        let is_upright = self.up.given || self.up.is_sure() || self.judged;
+        // An axis that the user names is a rough answer; everything else is level by now.
+        if settings.up.is_some_and(|up| up.axis_name().is_some()) {
             self.decide_tilt(sample);
         }
+        self.upright = self.rotation;
         let may_scale = settings.metres_per_unit.is_none() && self.unit.is_none();
         if !is_upright || !(settings.square || may_scale) {
             return;
@@ -221,7 +254,7 @@ impl Alignment {
 
     fn decide_tilt(&mut self, sample: &mut GaussianScene) {
         let leveling = level(sample);
-        if !leveling.has_floor() || !(TILT[0]..=TILT[1]).contains(&leveling.tilt) {
+        if !leveling.has_floor() || !(TILT..=MOST_TILT).contains(&leveling.tilt) {
             return;
         }
         let mut turned = sample.clone();
@@ -272,13 +305,19 @@ impl Alignment {
     }
 
     fn decide_up(&mut self) {
-        let UpGuess { axis, confidence, .. } = self.up;
-        if !self.up.is_sure() {
-            self.remarks.push(Remark::UpUnclear { likely: axis, confidence });
-        } else if axis != UpAxis::PlusZ {
-            self.turned_from = axis;
-            self.rotation = axis.upright();
-            self.remarks.push(Remark::Turned { from: axis });
+        let UpGuess { direction, confidence, .. } = self.up;
+        if !self.up.is_sure() && !self.judged {
+            self.remarks.push(Remark::UpUnclear { likely: direction, confidence });
+        }
+        let axis = direction.nearest_axis();
+        self.turned_from = direction;
+        self.rotation = direction.upright();
+        self.upright = self.rotation;
+        self.tilt = direction.degrees_from(axis);
+        if axis != Up::PLUS_Z {
+            self.remarks.push(Remark::Turned { from: direction });
+        } else if self.tilt >= TILT {
+            self.remarks.push(Remark::Leveled { tilt: self.tilt });
         }
     }
 
@@ -303,18 +342,25 @@ impl Alignment {
         }
     }
 
+    /// Whether up was to be found, and the scene leaves it open.
+    pub fn is_open(&self) -> bool {
+        self.remarks.iter().any(|remark| matches!(remark, Remark::UpUnclear { .. }))
+    }
+
     /// All turns together: what brings +z up, the floor level and the walls along the axes, as far as
     /// something was done about them.
     pub fn rotation(&self) -> Matrix3 {
         self.rotation
     }
 
+    /// As [`rotation`](Self::rotation), without the turn about the vertical.
+    pub fn upright(&self) -> Matrix3 {
+        self.upright
+    }
+
     /// Whether the network reads the scene itself.
     pub fn is_identity(&self) -> bool {
-        self.turned_from == UpAxis::PlusZ
-            && self.scale == 1.0
-            && self.tilt == 0.0
-            && self.yaw == 0.0
+        self.turned_from == Up::PLUS_Z && self.scale == 1.0 && self.tilt == 0.0 && self.yaw == 0.0
     }
 
     /// The scene as the network reads it: itself, bit for bit, if nothing is to be done, else a copy
@@ -325,8 +371,8 @@ impl Alignment {
         }
         let rotation = self.rotation;
         let turn = matrix_to_quat(&rotation);
-        let is_turned = rotation != UpAxis::PlusZ.upright();
-        // Without tilt and yaw a row of the rotation has one ±1 and two zeros: no rounding.
+        let is_turned = rotation != Up::PLUS_Z.upright();
+        // Of an axis and without yaw a row of the rotation has one ±1 and two zeros: no rounding.
         let direction =
             |v: &[f32; 3]| rotation.map(|r| (0..3).map(|a| r[a] * f64::from(v[a])).sum::<f64>());
         let add = self.scale.ln();
@@ -378,7 +424,7 @@ mod tests {
     }
 
     /// The scene with another direction up.
-    fn lying(scene: &GaussianScene, up: UpAxis) -> GaussianScene {
+    fn lying(scene: &GaussianScene, up: Up) -> GaussianScene {
         let m = up.upright();
         let rotation = [0, 1, 2].map(|i| [0, 1, 2].map(|j| m[j][i]));
         let mut scene = scene.clone();
@@ -397,7 +443,7 @@ mod tests {
     #[test]
     fn a_turned_room_comes_back_with_its_orientations() {
         let room = room();
-        for up in UpAxis::ALL.into_iter().filter(|up| *up != UpAxis::PlusZ) {
+        for up in Up::AXES.into_iter().filter(|up| *up != Up::PLUS_Z) {
             let alignment = Alignment::of(&lying(&room, up), &AlignmentSettings::default());
             assert_eq!(alignment.turned_from, up);
             assert_eq!(alignment.remarks, [Remark::Turned { from: up }]);
@@ -409,7 +455,7 @@ mod tests {
             let near = |a: &[f32; 4], b: &[f32; 4]| {
                 a.iter().zip(b).map(|(a, b)| a * b).sum::<f32>().abs() > 1.0 - 1e-5
             };
-            if up != UpAxis::MinusZ {
+            if up != Up::MINUS_Z {
                 assert!(back.quat.iter().zip(&room.quat).all(|(a, b)| near(a, b)), "{up}");
             }
             assert_eq!(back.normal, room.normal, "{up}");
@@ -421,7 +467,7 @@ mod tests {
         let room = room();
         let scaled = |by: f64| {
             let mut scene = room.clone();
-            let rotation = UpAxis::PlusZ.upright();
+            let rotation = Up::PLUS_Z.upright();
             scene.transform(&Similarity { rotation, scale: by, translation: [0.0; 3] });
             scene
         };
@@ -447,18 +493,18 @@ mod tests {
     #[test]
     fn the_user_decides() {
         let room = room();
-        let lying = lying(&room, UpAxis::MinusY);
+        let lying = lying(&room, Up::MINUS_Y);
         let as_is = AlignmentSettings {
             as_is: true,
-            up: Some(UpAxis::MinusY),
+            up: Some(Up::MINUS_Y),
             metres_per_unit: Some(2.0),
             ..Default::default()
         };
         let alignment = Alignment::of(&lying, &as_is);
         assert!(alignment.is_identity() && alignment.remarks.is_empty(), "{alignment:?}");
-        assert_eq!(alignment.up.axis, UpAxis::MinusY);
-        let given = AlignmentSettings { up: Some(UpAxis::PlusX), ..Default::default() };
-        assert_eq!(Alignment::of(&room, &given).turned_from, UpAxis::PlusX);
+        assert_eq!(alignment.up.direction, Up::MINUS_Y);
+        let given = AlignmentSettings { up: Some(Up::PLUS_X), ..Default::default() };
+        assert_eq!(Alignment::of(&room, &given).turned_from, Up::PLUS_X);
     }
 
     #[test]

@@ -87,6 +87,7 @@ pub fn open_input(
         kept_rows: cloud.kept_rows,
         path: path.to_owned(),
         kind: SceneFormat::Ply,
+        stated_up: SceneFormat::Ply.stated_up(),
     };
     Ok((OpenedScene { loaded, converted: true }, Some(text)))
 }

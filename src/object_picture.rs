@@ -7,7 +7,7 @@ use scenesplat_objects::{Catalogue, is_kind};
 use scenesplat_rasterizer::{Gaussians, RasterError, RasterSettings, RenderRequest, View, render};
 use scenesplat_scene::gaussian_scene::SH_C0;
 use scenesplat_scene::picture::RgbPicture;
-use scenesplat_scene::{Camera, GaussianScene, UpAxis};
+use scenesplat_scene::{Camera, GaussianScene, Up};
 
 /// The view, pixels, and the list beside it.
 const VIEW: [u32; 2] = [1080, 860];
@@ -44,7 +44,7 @@ const BUILDING: [&str; 3] = ["wall", "floor", "ceiling"];
 pub fn object_picture(
     scene: &GaussianScene,
     catalogue: &Catalogue,
-    up: UpAxis,
+    up: Up,
 ) -> Result<RgbPicture, RasterError> {
     let instances = catalogue.instances();
     let plain: Vec<[u8; 3]> = (0..scene.len()).map(|row| scene.color_u8(row)).collect();

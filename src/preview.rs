@@ -36,7 +36,7 @@ use framing::{Framing, Upright};
 use legend::{LEGEND_WIDTH, draw_legend, draw_scale_bar};
 use rows::{discs_of, visible_rows};
 use scenesplat_scene::picture::RgbPicture;
-use scenesplat_scene::{UpAxis, WriteError};
+use scenesplat_scene::{Up, WriteError};
 use std::path::Path;
 
 /// Why there is no preview.
@@ -68,12 +68,12 @@ pub enum PreviewError {
 }
 
 /// How to draw.
-#[derive(Debug, Clone, PartialEq, Eq)]
+#[derive(Debug, Clone, PartialEq)]
 pub struct PreviewSettings {
     /// First line of the picture.
     pub title: String,
     /// Which way is up.
-    pub up: UpAxis,
+    pub up: Up,
     /// Width and height of each view, pixels.
     pub view_size: u32,
     /// Leaves out the ceiling and the walls between camera and room, where there are such.
@@ -82,7 +82,7 @@ pub struct PreviewSettings {
 
 impl Default for PreviewSettings {
     fn default() -> Self {
-        Self { title: String::new(), up: UpAxis::PlusZ, view_size: 720, open_rooms: true }
+        Self { title: String::new(), up: Up::PLUS_Z, view_size: 720, open_rooms: true }
     }
 }
 
@@ -225,7 +225,6 @@ mod tests {
 
     #[test]
     fn rendered_views_are_those_of_discs() {
-        use UpAxis::{MinusX, MinusY, MinusZ, PlusX, PlusY, PlusZ};
         // Three arms of different lengths: mirrored, turned or scaled it would be elsewhere.
         let arm = |axis: usize, count: u16| {
             (0..count).map(move |i| {
@@ -235,7 +234,7 @@ mod tests {
             })
         };
         let coord: Vec<[f32; 3]> = arm(0, 300).chain(arm(1, 200)).chain(arm(2, 120)).collect();
-        for up in [PlusX, MinusX, PlusY, MinusY, PlusZ, MinusZ] {
+        for up in Up::AXES {
             let [discs, splats] = both(&coord, &PreviewSettings { up, ..small() });
             for (d, s) in bounds(&discs).into_iter().zip(bounds(&splats)) {
                 let off = d.iter().zip(s).map(|(d, s)| (d - s).abs()).fold(0.0, f64::max);
@@ -331,8 +330,7 @@ mod tests {
 
     #[test]
     fn every_up_axis_and_bad_radii() {
-        use UpAxis::{MinusX, MinusY, MinusZ, PlusX, PlusY, PlusZ};
-        for up in [PlusX, MinusX, PlusY, MinusY, PlusZ, MinusZ] {
+        for up in Up::AXES {
             let counts = red(&render(&blob(), &PreviewSettings { up, ..small() }));
             assert!(counts[0] > 500 && counts[1] > 500, "{up:?} {counts:?}");
         }

@@ -115,7 +115,7 @@ fn choose(args: &BudgetArgs, job: &Job<'_>) -> Result<Option<Chosen>> {
         );
     }
     // A turn about the vertical changes the number of voxels next to nothing.
-    let alignment = Alignment::of(scene, &job.inference.alignment(false));
+    let alignment = Alignment::of(scene, &job.inference.alignment(&input.0.loaded, false));
     let coord = center_shift(&alignment.apply(scene).coord);
     let native = embedded::config().map_or(0.02, |config| config.model.grid_size);
     let mut sizes = Sizes { coord, native, front: &front, counted: BTreeMap::new() };

@@ -5,9 +5,9 @@ use crate::flags::Inference;
 use crate::receipt::ReceiptReport;
 use crate::session::Session;
 use anyhow::{Context, Result};
-use scenesplat::Alignment;
 use scenesplat::datasets::effects::EffectError;
 use scenesplat::datasets::effects::plan::{EffectChoices, EffectPlan, looked_for};
+use scenesplat::outputs::OpenedScene;
 use scenesplat::scene::GaussianScene;
 use scenesplat::scene::input_file::open_regular_file;
 use scenesplat_lab::compensation::{Compensation, Consumer, modules, plan_of};
@@ -63,18 +63,19 @@ impl Session<'_> {
     pub fn compensation(
         &self,
         wish: &Wish,
-        scene: &GaussianScene,
+        opened: &OpenedScene,
         inference: &Inference,
         consumer: Consumer,
     ) -> Result<Compensation> {
         let _stage = self.receipt.stage("effects");
+        let scene = &opened.loaded.scene;
         let mut section = match &wish.stored {
             Some(plan) => plan
                 .replayed(scene.len(), &modules(consumer))
                 .map_err(|error| WrongUse(format!("--effect-plan: {error}")))?,
             None => {
                 let is_idle = looked_for(&modules(consumer), &wish.choices).is_empty();
-                let metres = if is_idle { 1.0 } else { metres_per_unit(scene, inference) };
+                let metres = if is_idle { 1.0 } else { self.alignment(opened, inference).scale };
                 plan_of(scene, metres, consumer, &wish.choices).map_err(|e| wrong(&e))?
             }
         };
@@ -92,9 +93,4 @@ impl Session<'_> {
             self.receipt.setting("withheld_at_holes", count, &text);
         }
     }
-}
-
-/// What one unit of a scene is for the network.
-fn metres_per_unit(scene: &GaussianScene, inference: &Inference) -> f64 {
-    Alignment::of(scene, &inference.alignment(false)).scale
 }

@@ -10,7 +10,7 @@ use scenesplat::models::DeviceChoice;
 use scenesplat::models::convert::{Branch, ConvLayout};
 use scenesplat::network::{NetworkChoice, Weights};
 use scenesplat::preview::PreviewSettings;
-use scenesplat::scene::{Policy, ReadOptions, SpzFrame, UpAxis};
+use scenesplat::scene::{LoadedScene, Policy, ReadOptions, SpzFrame, Up};
 use scenesplat::{AlignmentSettings, Setting};
 use std::path::PathBuf;
 
@@ -49,7 +49,7 @@ pub struct PreviewArgs {
 
 impl PreviewArgs {
     /// A picture with that first line, that way up.
-    pub fn settings(self, title: String, up: UpAxis) -> PreviewSettings {
+    pub fn settings(self, title: String, up: Up) -> PreviewSettings {
         PreviewSettings { title, up, view_size: self.preview_size, ..PreviewSettings::default() }
     }
 }
@@ -206,8 +206,8 @@ pub struct Inference {
     pub conv_layout: ConvLayoutArg,
     /// Which way is up in the scene, for pictures and for the network, which reads a turned copy of a
     /// scene that lies otherwise than +z; judged by the scene if not given.
-    #[arg(long, value_name = "AXIS", value_parser = parse_up, allow_hyphen_values = true)]
-    pub up: Option<UpAxis>,
+    #[arg(long, value_name = "AXIS|X,Y,Z", value_parser = parse_up, allow_hyphen_values = true)]
+    pub up: Option<Up>,
     /// What one unit of the scene is: m, cm, mm, km or a number of meters. The network reads a scaled
     /// copy; judged by the scene if not given.
     #[arg(long, value_name = "UNIT|METRES", value_parser = parse_unit)]
@@ -217,15 +217,16 @@ pub struct Inference {
     #[arg(long, value_name = "HEIGHT", value_parser = parse_height, allow_hyphen_values = true)]
     pub floor: Option<f64>,
     /// The network reads the scene as it is: neither turned nor scaled.
-    #[arg(long, conflicts_with = "unit")]
+    #[arg(long, visible_alias = "no-align", conflicts_with = "unit")]
     pub as_is: bool,
 }
 
 impl Inference {
-    /// What is known of the scene. `square`: whether the network knows rooms along the axes.
-    pub fn alignment(&self, square: bool) -> AlignmentSettings {
+    /// What is known of a scene. `square`: whether the network knows rooms along the axes.
+    pub fn alignment(&self, loaded: &LoadedScene, square: bool) -> AlignmentSettings {
         AlignmentSettings {
             up: self.up,
+            stated_up: loaded.stated_up,
             metres_per_unit: self.unit,
             floor: self.floor,
             square,
@@ -326,8 +327,8 @@ pub fn parse_level(text: &str) -> Result<usize, String> {
     }
 }
 
-/// Reads the name of an axis.
-pub fn parse_up(text: &str) -> Result<UpAxis, String> {
+/// Reads the name of an axis, or a direction.
+pub fn parse_up(text: &str) -> Result<Up, String> {
     text.parse()
 }
 

@@ -4,6 +4,7 @@
 //! A [`Receipt`] records while the command runs; [`Receipt::finish`] gives a [`ReceiptReport`],
 //! which prints as a table and is written as JSON.
 
+use scenesplat::alignment::AlignmentReport;
 use scenesplat::datasets::effects::plan::{EffectDecision, EffectPlan, PlanSection};
 pub use scenesplat::machine::Machine;
 use scenesplat::machine::peak_memory_bytes;
@@ -106,6 +107,9 @@ pub struct ReceiptReport {
     /// where there are several.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub effect_plan: Option<EffectPlan>,
+    /// How the network, or what measures the scene, reads it; of the last scene where there are several.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub alignment: Option<AlignmentReport>,
 }
 
 /// The budget in a receipt.
@@ -236,6 +240,11 @@ impl Receipt {
     /// Notes a warning or a repair.
     pub fn warning(&self, text: impl Into<String>) {
         self.report.borrow_mut().warnings.push(text.into());
+    }
+
+    /// Notes how the scene is read.
+    pub fn alignment(&self, report: AlignmentReport) {
+        self.report.borrow_mut().alignment = Some(report);
     }
 
     /// Notes the files that were written.

@@ -144,7 +144,7 @@ impl SurfaceArgs {
             return Ok(agreeing);
         }
         let _stage = session.receipt.stage("surfaces");
-        let Frame { upright, metres_per_unit, .. } = frame(opened, inference);
+        let Frame { upright, metres_per_unit, .. } = frame(session, opened, inference);
         let settings = SurfaceSettings::default();
         let found = scene_surfaces(&opened.loaded.scene, &upright, metres_per_unit, &settings)?;
         let counts: Vec<String> = found.scales.iter().map(|of| of.count.to_string()).collect();

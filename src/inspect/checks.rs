@@ -8,7 +8,7 @@ use super::neighbourhood::{FEWEST_ROWS, Neighbourhood, reach};
 use super::statistics::{Counted, count_rows, largest};
 use super::unit::{LengthUnit, UnitGuess, is_surely_no_metre, short};
 use crate::memory::Bytes;
-use scenesplat_scene::{Bounds, GaussianScene, UpAxis, UpGuess};
+use scenesplat_scene::{Bounds, GaussianScene, Up, UpGuess};
 
 /// A Gaussian is an outlier when its distance from the robust box exceeds so many of its diagonals.
 /// The badly converged capture of the calibration reaches 1.6, clean scenes 0.03.
@@ -118,18 +118,22 @@ pub(super) fn check_outliers(findings: &mut Findings<'_>, scene: &GaussianScene,
     }
 }
 
+/// Degrees out of level that change labels.
+const TILT: f64 = 1.0;
+
 /// What networks make of the direction.
 pub(super) fn check_up(findings: &mut Findings<'_>, rows: usize, up: &UpGuess) {
-    if rows < FEWEST_ROWS || (up.is_sure() && up.axis == UpAxis::PlusZ) {
+    if rows < FEWEST_ROWS || (up.is_sure() && up.direction.degrees_from(Up::PLUS_Z) < TILT) {
         return;
     }
     let message = if up.is_sure() {
-        format!("up is {}: networks read a copy turned to +z, files keep their frame", up.axis)
+        let up = up.direction.described();
+        format!("up is {up}: networks read a copy turned to +z, files keep their frame")
     } else {
         format!(
-            "which way is up is unclear, {} is likeliest: networks take +z for up, and lose most \
-             labels if it is not; say which it is, or turn the scene",
-            up.axis
+            "which way is up is unclear, {} is taken: networks lose most labels if it is not; say which \
+             it is, or turn the scene",
+            up.direction.described()
         )
     };
     let example = format!("confidence {:.2}", up.confidence);

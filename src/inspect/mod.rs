@@ -33,7 +33,7 @@ use findings::Findings;
 use neighbourhood::Neighbourhood;
 use scenesplat_kernels::simd::Isa;
 pub use scenesplat_scene::{Bounds, UpEvidence, UpGuess};
-use scenesplat_scene::{LoadedScene, UpAxis, guess_up_within, raw_bounds, robust_bounds};
+use scenesplat_scene::{LoadedScene, guess_up, raw_bounds, robust_bounds};
 use serde::Serialize;
 
 /// Settings of [`inspect`].
@@ -41,8 +41,8 @@ use serde::Serialize;
 pub struct InspectSettings {
     /// Whether the scene was a point cloud that was turned into Gaussians.
     pub from_points: bool,
-    /// Which way is up, if the user knows.
-    pub up: Option<UpAxis>,
+    /// Which way is up, if it is known; judged by the shape of the scene if not.
+    pub up: Option<UpGuess>,
     /// Voxel size, meters.
     pub grid_size: f64,
     /// The network to estimate the cost of, and its name; `None`: no estimate.
@@ -143,10 +143,7 @@ pub fn inspect(loaded: &LoadedScene, settings: &InspectSettings) -> Inspection {
     let near = neighbourhood::neighbourhood(scene, &zone);
     let (voxels, too_wide) = content::voxels(scene, settings.grid_size, &zone);
     let unit = unit::guess_unit(&robust, near.spacing);
-    let up = match settings.up {
-        Some(up) => UpGuess::given(up),
-        None => guess_up_within(scene, &robust),
-    };
+    let up = settings.up.clone().unwrap_or_else(|| guess_up(scene, loaded.stated_up));
     let sh_bands = content::sh_bands(scene);
     let sh_degree_used = sh_bands.iter().filter(|b| b.rows > 0).map(|b| b.band).max().unwrap_or(0);
     let opacity = content::opacity(scene);

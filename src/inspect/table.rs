@@ -32,7 +32,7 @@ impl Inspection {
             ("all of it", of_all.map(|extent| format!("{} m", sides(extent)))),
             ("centre", Some(centre)),
             ("unit", self.unit.as_ref().map(unit)),
-            ("up", Some(format!("{}, {how}", up.axis.name()))),
+            ("up", Some(format!("{}, {how}", up.direction))),
             ("spacing", self.spacing.map(|s| format!("{} m to the 4th neighbour", short(s)))),
             ("scale", Some(five(&self.largest_scale, " m"))),
             ("anisotropy", Some(five(&self.anisotropy, ""))),

@@ -169,7 +169,7 @@ mod tests {
     use super::*;
     use crate::inference::SceneFeatures;
     use scenesplat_objects::{ObjectInput, ObjectSettings, find_objects};
-    use scenesplat_scene::{GaussianScene, TextTable, UpAxis};
+    use scenesplat_scene::{GaussianScene, TextTable, Up};
 
     /// Two clusters far apart, and a Gaussian without a class between them.
     fn scene() -> (GaussianScene, Vec<i32>, Vec<String>) {
@@ -206,7 +206,7 @@ mod tests {
             catalogue: None,
             features: None,
             vocabulary: None,
-            upright: UpAxis::PlusZ.upright(),
+            upright: Up::PLUS_Z.upright(),
             metres_per_unit: 1.0,
             remarks: &[],
         }
@@ -222,7 +222,7 @@ mod tests {
             instances: None,
             features: None,
             names: &names,
-            upright: UpAxis::PlusZ.upright(),
+            upright: Up::PLUS_Z.upright(),
             metres_per_unit: 1.0,
             floor: None,
         };

@@ -1,7 +1,7 @@
 //! Where the cameras stand and what they show.
 
 use super::discs::{Disc, Lens};
-use scenesplat_scene::UpAxis;
+use scenesplat_scene::Up;
 use scenesplat_scene::quantile::quantile;
 
 /// Turns a scene so that +z is up.
@@ -11,7 +11,7 @@ pub(super) struct Upright {
 }
 
 impl Upright {
-    pub(super) fn new(up: UpAxis) -> Self {
+    pub(super) fn new(up: Up) -> Self {
         let rows = up.upright().map(|row| row.map(|v| v as f32));
         Self { rows }
     }

@@ -4,7 +4,7 @@ use super::LookAt;
 use super::framing::{Framing, Upright};
 use super::rows::{PreviewRows, visible_discs};
 use scenesplat_kernels::neighbors::KdTree;
-use scenesplat_scene::{Camera, UpAxis};
+use scenesplat_scene::{Camera, Up};
 
 /// Places along each level axis that are tried.
 const PLACES: usize = 17;
@@ -25,7 +25,7 @@ const PITCH: f64 = 6.0;
 /// its distance from the middle. Empty without such Gaussians.
 pub fn inside_views(
     rows: &PreviewRows<'_>,
-    up: UpAxis,
+    up: Up,
     count: usize,
     fov: f64,
     size: [u32; 2],
@@ -106,7 +106,7 @@ mod tests {
             opacity: &vec![0.9; n],
             shapes: None,
         };
-        let cameras = inside_views(&rows, UpAxis::PlusZ, 4, 75.0, [64, 48]);
+        let cameras = inside_views(&rows, Up::PLUS_Z, 4, 75.0, [64, 48]);
         assert_eq!(cameras.len(), 4);
         let eye = cameras[0].centre();
         for camera in &cameras {
@@ -122,6 +122,6 @@ mod tests {
             assert!(cameras.iter().any(sees), "{wall:?}");
         }
         let none = PreviewRows { coord: &[], color: &[], radius: &[], opacity: &[], shapes: None };
-        assert!(inside_views(&none, UpAxis::PlusZ, 3, 75.0, [64, 48]).is_empty());
+        assert!(inside_views(&none, Up::PLUS_Z, 3, 75.0, [64, 48]).is_empty());
     }
 }

@@ -2,7 +2,7 @@
 
 use super::framing::Upright;
 use glam::DVec3;
-use scenesplat_scene::{Camera, Distortion, UpAxis};
+use scenesplat_scene::{Camera, Distortion, Up};
 
 /// Where a camera stands, and what it looks at.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -20,7 +20,7 @@ impl LookAt {
     /// direction: then the first level axis points to the right.
     ///
     /// `None` if the target is where the eye is, or a number makes no sense.
-    pub fn camera(&self, name: &str, up: UpAxis, [width, height]: [u32; 2]) -> Option<Camera> {
+    pub fn camera(&self, name: &str, up: Up, [width, height]: [u32; 2]) -> Option<Camera> {
         let upright = Upright::new(up);
         let eye = DVec3::from(self.eye);
         let to = DVec3::from(self.target) - eye;
@@ -71,10 +71,10 @@ mod tests {
     fn the_target_is_in_the_middle_and_up_is_up() {
         let look = LookAt { eye: [1.0, 2.0, 3.0], target: [4.0, -1.0, 2.0], fov: 60.0 };
         for (up, axis, sign) in [
-            (UpAxis::PlusZ, 2, 1.0),
-            (UpAxis::MinusY, 1, -1.0),
-            (UpAxis::PlusX, 0, 1.0),
-            (UpAxis::MinusZ, 2, -1.0),
+            (Up::PLUS_Z, 2, 1.0),
+            (Up::MINUS_Y, 1, -1.0),
+            (Up::PLUS_X, 0, 1.0),
+            (Up::MINUS_Z, 2, -1.0),
         ] {
             let mut camera = look.camera("a", up, [200, 100]).unwrap();
             camera.check(std::path::Path::new("flags")).unwrap();
@@ -92,11 +92,11 @@ mod tests {
     #[test]
     fn straight_down_and_nowhere() {
         let down = LookAt { eye: [0.0, 0.0, 5.0], target: [0.0; 3], fov: 90.0 };
-        let mut camera = down.camera("a", UpAxis::PlusZ, [64, 64]).unwrap();
+        let mut camera = down.camera("a", Up::PLUS_Z, [64, 64]).unwrap();
         camera.check(std::path::Path::new("flags")).unwrap();
         assert!(camera.project([1.0, 0.0, 0.0]).unwrap()[0] > 32.0);
         for (target, fov) in [([0.0, 0.0, 5.0], 90.0), ([f64::NAN; 3], 90.0), ([0.0; 3], 180.0)] {
-            assert!(LookAt { target, fov, ..down }.camera("a", UpAxis::PlusZ, [64, 64]).is_none());
+            assert!(LookAt { target, fov, ..down }.camera("a", Up::PLUS_Z, [64, 64]).is_none());
         }
     }
 }

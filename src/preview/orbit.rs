@@ -3,7 +3,7 @@
 use super::framing::{Framing, Upright};
 use super::look_at::pinhole;
 use super::rows::{PreviewRows, visible_discs};
-use scenesplat_scene::{Camera, UpAxis};
+use scenesplat_scene::{Camera, Up};
 
 /// Cameras that look at a scene from around it, and what has to be left out to look into it.
 #[derive(Debug, Clone, PartialEq)]
@@ -42,7 +42,7 @@ impl Orbit {
     ///
     /// Objects are looked at from 25° above the horizon; closed rooms from 45°, with the ceiling
     /// and the walls before the camera left out.
-    pub fn around(rows: &PreviewRows<'_>, up: UpAxis, count: usize, size: [u32; 2]) -> Self {
+    pub fn around(rows: &PreviewRows<'_>, up: Up, count: usize, size: [u32; 2]) -> Self {
         let upright = Upright::new(up);
         let discs = visible_discs(rows, upright);
         let framing = Framing::of(&discs, true);
@@ -85,7 +85,7 @@ mod tests {
         coord
     }
 
-    fn orbit(coord: &[[f32; 3]], up: UpAxis, count: usize, size: [u32; 2]) -> Orbit {
+    fn orbit(coord: &[[f32; 3]], up: Up, count: usize, size: [u32; 2]) -> Orbit {
         let n = coord.len();
         let rows = PreviewRows {
             coord,
@@ -100,10 +100,8 @@ mod tests {
     #[test]
     fn every_camera_sees_the_block_and_stands_upright() {
         let coord = block();
-        use UpAxis::{MinusX, MinusY, MinusZ, PlusX, PlusY, PlusZ};
-        let ups = [(PlusX, 0, 1.0), (MinusX, 0, -1.0), (PlusY, 1, 1.0)];
-        let ups = ups.into_iter().chain([(MinusY, 1, -1.0), (PlusZ, 2, 1.0), (MinusZ, 2, -1.0)]);
-        for (up, axis, sign) in ups {
+        for (number, up) in Up::AXES.into_iter().enumerate() {
+            let (axis, sign) = (number / 2, if number % 2 == 0 { 1.0 } else { -1.0 });
             for size in [[640, 480], [300, 500]] {
                 let orbit = orbit(&coord, up, 5, size);
                 for mut camera in orbit.cameras {
@@ -127,7 +125,7 @@ mod tests {
     #[test]
     fn no_and_one_gaussian() {
         for coord in [&[][..], &[[3.0, 4.0, 5.0]]] {
-            let orbit = orbit(coord, UpAxis::PlusZ, 2, [64, 64]);
+            let orbit = orbit(coord, Up::PLUS_Z, 2, [64, 64]);
             assert_eq!((orbit.cameras.len(), orbit.near), (2, None));
             for mut camera in orbit.cameras {
                 camera.check(std::path::Path::new("orbit")).unwrap();

@@ -5,7 +5,7 @@ use super::framing::{Framing, Upright};
 use super::legend::draw_scale_bar;
 use super::rows::{PreviewRows, visible_discs};
 use super::{FAINT_INK, text};
-use scenesplat_scene::UpAxis;
+use scenesplat_scene::Up;
 use scenesplat_scene::picture::RgbPicture;
 
 /// Where a level view looks from.
@@ -49,7 +49,7 @@ pub(crate) struct LevelViews {
 
 impl LevelViews {
     /// Prepares views of the box from `low` to `high`, in the axes of the scene.
-    pub(crate) fn new(rows: &PreviewRows<'_>, up: UpAxis, low: [f64; 3], high: [f64; 3]) -> Self {
+    pub(crate) fn new(rows: &PreviewRows<'_>, up: Up, low: [f64; 3], high: [f64; 3]) -> Self {
         let upright = Upright::new(up);
         let ends = [low, high].map(|p| upright.turn_exact(p));
         let (low, high) = (

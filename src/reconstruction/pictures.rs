@@ -116,7 +116,7 @@ fn beside(pictures: &[Vec<f32>], width: u32, height: u32) -> RgbPicture {
 mod tests {
     use super::*;
     use crate::preview::LookAt;
-    use scenesplat_scene::UpAxis;
+    use scenesplat_scene::Up;
 
     #[test]
     fn differences_count_where_something_is_masked() {
@@ -148,7 +148,7 @@ mod tests {
         };
         let pictures = ReconstructionPictures::new(&scene, &made, None, None).unwrap();
         let look = LookAt { eye: [0.0, -6.0, 0.0], target: [0.0; 3], fov: 40.0 };
-        let camera = look.camera("view", UpAxis::PlusZ, [60, 40]).unwrap();
+        let camera = look.camera("view", Up::PLUS_Z, [60, 40]).unwrap();
         let drawn = pictures.draw(&camera).unwrap();
         assert_eq!((drawn.picture.width(), drawn.picture.height()), (188, 40));
         let left = |k: u32| drawn.picture.get(k * 64 + 21, 20).unwrap();

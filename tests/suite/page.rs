@@ -9,7 +9,7 @@ use scenesplat::page::{
 use scenesplat::query::{Query, QuerySettings, select};
 use scenesplat::rooms::vocabulary::Vocabulary;
 use scenesplat::rooms::{CLASSES, RoomKind, SyntheticRoom, SyntheticRoomSettings, generate};
-use scenesplat::scene::UpAxis;
+use scenesplat::scene::Up;
 use scenesplat::scene::formats::inria_ply::write_inria_ply;
 use scenesplat::trainers::callbacks::LoggedValue;
 use scenesplat::{SceneFeatures, embedded};
@@ -56,7 +56,7 @@ fn known<'a>(room: &'a SyntheticRoom, labels: &'a [i32], names: &'a [String]) ->
         instances: None,
         features: None,
         names,
-        upright: UpAxis::PlusZ.upright(),
+        upright: Up::PLUS_Z.upright(),
         metres_per_unit: 1.0,
         floor: None,
     }
@@ -76,7 +76,7 @@ fn plain<'a>(room: &'a SyntheticRoom, title: &'a str) -> PageInput<'a> {
         catalogue: None,
         features: None,
         vocabulary: None,
-        upright: UpAxis::PlusZ.upright(),
+        upright: Up::PLUS_Z.upright(),
         metres_per_unit: 1.0,
         remarks: &[],
     }

@@ -14,7 +14,7 @@ use scenesplat::rooms::{CLASSES, SyntheticRoomSettings, generate};
 use scenesplat::scene::atomic_file::check_replaceable;
 use scenesplat::scene::formats::inria_ply::write_inria_ply;
 use scenesplat::scene::formats::npy::NpyFile;
-use scenesplat::scene::{FolderLock, LabelSet, UpAxis};
+use scenesplat::scene::{FolderLock, LabelSet, Up};
 use std::path::PathBuf;
 
 /// Rooms of this seed are in no training configuration of the project.
@@ -85,7 +85,7 @@ pub fn run(args: &Args, line: &str) -> Result<()> {
     let picture = args.out.join("truth.png");
     let entries = legend(truth, &names);
     let title = "room.ply: truth".to_owned();
-    let settings = PreviewSettings { title, up: UpAxis::PlusZ, ..PreviewSettings::default() };
+    let settings = PreviewSettings { title, up: Up::PLUS_Z, ..PreviewSettings::default() };
     write_scene_preview(&room.scene, &label_colors(truth), &entries, &settings, &picture)?;
     print(&format!(
         "{:?} with {} objects: {} of the labeled Gaussians right, f-mIoU {} on this room",

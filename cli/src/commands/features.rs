@@ -102,8 +102,8 @@ pub fn run(args: &Args, line: &str) -> Result<()> {
     let opened = session.open(&args.input.scene, &inference)?;
     let scene = &opened.loaded.scene;
     let consumer = Consumer { network: true, labels: false };
-    let about = session.compensation(&wish, scene, &inference, consumer)?;
-    let features = session.encode(scene, &network, &inference, &about)?;
+    let about = session.compensation(&wish, &opened, &inference, consumer)?;
+    let features = session.encode(&opened, &network, &inference, &about)?;
     drop(network);
     {
         let _stage = session.receipt.stage("write");
@@ -126,7 +126,8 @@ pub fn run(args: &Args, line: &str) -> Result<()> {
     })?;
     let name = args.input.name();
     let title = format!("{name}: features (principal components as colors)");
-    session.write_preview(scene, &colors, &[], title, inference.up, args.preview)?;
+    let up = session.up(&opened, &inference);
+    session.write_preview(scene, &colors, &[], title, up, args.preview)?;
     drop(stage);
     session.finish()
 }

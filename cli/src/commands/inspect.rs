@@ -5,15 +5,18 @@ use crate::flags::{NetworkArgs, Shared, SourceArgs, parse_setting, parse_up};
 use crate::session::Session;
 use crate::terminal::print;
 use anyhow::{Context, Result, bail};
+use scenesplat::alignment::{Alignment, AlignmentSettings};
+use scenesplat::datasets::Orientation;
 use scenesplat::inspect::sheet::{sheet_name, write_sheet};
 use scenesplat::inspect::{Finding, InspectSettings, inspect};
 use scenesplat::kernels::Precision;
 use scenesplat::memory::machine_memory;
 use scenesplat::models::weights::resolve;
 use scenesplat::network::{NetworkChoice, NetworkConfig, WeightOptions, Weights, network_of};
-use scenesplat::scene::{ReadOptions, UpAxis, printable};
+use scenesplat::outputs::OpenedScene;
+use scenesplat::scene::{ReadOptions, Up, printable};
 use scenesplat::setting::Passes;
-use scenesplat::{Setting, embedded};
+use scenesplat::{Network, SceneEncoder, Setting, embedded};
 use std::path::PathBuf;
 
 /// Prints what is in a scene, what is wrong with it and what the network will cost, and draws it as
@@ -32,8 +35,8 @@ pub struct Args {
     #[arg(long)]
     pub no_sheet: bool,
     /// Which way is up; judged by the scene if not given.
-    #[arg(long, value_name = "AXIS", value_parser = parse_up, allow_hyphen_values = true)]
-    pub up: Option<UpAxis>,
+    #[arg(long, value_name = "AXIS|X,Y,Z", value_parser = parse_up, allow_hyphen_values = true)]
+    pub up: Option<Up>,
     /// Ends with exit code 1 if there is any finding; notes do not count.
     #[arg(long)]
     pub fail_on_findings: bool,
@@ -76,11 +79,12 @@ pub fn run(args: &Args, line: &str) -> Result<()> {
         opened
     };
     session.check_stop()?;
+    let alignment = alignment(&session, args, &chosen, &opened, &config)?;
     let mut seen = {
         let _stage = session.receipt.stage("inspect");
         let settings = InspectSettings {
             from_points: opened.converted,
-            up: args.up,
+            up: Some(alignment.up.clone()),
             grid_size: config.model.grid_size,
             network: Some((name, config)),
             machine_bytes: machine_memory().map(|bytes| bytes.0),
@@ -91,7 +95,9 @@ pub fn run(args: &Args, line: &str) -> Result<()> {
     print(&seen.to_string());
     session.check_stop()?;
     if let Some(path) = &args.json {
-        session.write_file(path, &serde_json::to_string_pretty(&seen)?)?;
+        let mut report = serde_json::to_value(&seen)?;
+        report["alignment"] = serde_json::to_value(alignment.report())?;
+        session.write_file(path, &serde_json::to_string_pretty(&report)?)?;
     }
     if let Some(path) = &sheet {
         let _stage = session.receipt.stage("picture");
@@ -111,6 +117,28 @@ pub fn run(args: &Args, line: &str) -> Result<()> {
         bail!("{}: {} findings: {}", args.scene.display(), names.len(), names.join(", "));
     }
     Ok(())
+}
+
+/// How `segment` would read the scene. The network inside the program is run only where the scene leaves up open.
+fn alignment(
+    session: &Session<'_>,
+    args: &Args,
+    network: &NetworkArgs,
+    opened: &OpenedScene,
+    config: &NetworkConfig,
+) -> Result<Alignment> {
+    let settings = AlignmentSettings {
+        up: args.up,
+        stated_up: opened.loaded.stated_up,
+        square: config.input.orientation == Orientation::Drawn,
+        ..AlignmentSettings::default()
+    };
+    let found = session.shape_alignment(opened, &settings);
+    if !found.is_open() || !network.is_embedded() {
+        return Ok(found);
+    }
+    let network = Network::load(embedded::config()?, &Weights::Embedded, WeightOptions::default())?;
+    session.judged_alignment(opened, &settings, &SceneEncoder::new(&network))
 }
 
 /// Where the sheet is drawn, if it is.

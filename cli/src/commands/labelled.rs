@@ -181,7 +181,7 @@ impl Labelling {
         self.classes.record(session)?;
         let scene = &opened.loaded.scene;
         let consumer = Consumer { network: source.is_network(), labels: true };
-        let about = session.compensation(wish, scene, &self.inference, consumer)?;
+        let about = session.compensation(wish, &opened, &self.inference, consumer)?;
         let features = session.features(&opened, &source, &self.inference, &about)?;
         let classes = match &text {
             Some(text) => labels::Classes::Texts(text),

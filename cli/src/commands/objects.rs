@@ -66,7 +66,7 @@ pub fn run(args: &Args, line: &str) -> Result<()> {
         .outputs
         .open_folder(&[&OBJECT_FILES[..], &["objects.md", "objects.png"], more].concat())?;
     let labelled = labels.label(&session, edits || folder.is_some())?;
-    let frame = frame(&labelled.opened, inference);
+    let frame = frame(&session, &labelled.opened, inference);
     let found = labelled.objects(&session, &labels.settings(), labels.pieces, frame)?;
     session.check_stop()?;
     print(&table::markdown(&found));

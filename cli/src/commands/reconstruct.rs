@@ -11,7 +11,7 @@ use scenesplat::preview::{Ceiling, Orbit, SceneRows, inside_views, write_png};
 use scenesplat::reconstruction::{
     Reconstruction, ReconstructionPicture, ReconstructionPictures, ReconstructionRun,
 };
-use scenesplat::scene::{Camera, GaussianScene, ReadOptions, UpAxis};
+use scenesplat::scene::{Camera, GaussianScene, LoadedScene, ReadOptions, Up};
 use serde_json::json;
 use std::path::PathBuf;
 
@@ -46,8 +46,8 @@ pub struct Args {
     #[arg(long, value_name = "WxH", value_parser = parse_size)]
     pub size: Option<[u32; 2]>,
     /// Which way is up in the scene; judged by the scene if not given.
-    #[arg(long, value_name = "AXIS", value_parser = parse_up, allow_hyphen_values = true)]
-    pub up: Option<UpAxis>,
+    #[arg(long, value_name = "AXIS|X,Y,Z", value_parser = parse_up, allow_hyphen_values = true)]
+    pub up: Option<Up>,
     /// What one unit of the scene is: m, cm, mm, km or a number of meters; judged by the scene if not
     /// given.
     #[arg(long, value_name = "UNIT|METRES", value_parser = parse_unit)]
@@ -84,9 +84,10 @@ pub fn run(args: &Args, line: &str) -> Result<()> {
     receipt.setting("seed", args.seed, "which patches are masked");
     receipt.setting("masking", format!("{:?}", run.masking()), "as at that step");
     let options = ReadOptions { sh_rest: false, ..args.source.options() };
-    let scene = session.open_with(&args.scene, &options)?.loaded.scene;
+    let LoadedScene { scene, stated_up, .. } = session.open_with(&args.scene, &options)?.loaded;
     let settings = AlignmentSettings {
         up: args.up,
+        stated_up,
         metres_per_unit: args.unit,
         as_is: args.as_is,
         ..AlignmentSettings::default()
@@ -99,7 +100,7 @@ pub fn run(args: &Args, line: &str) -> Result<()> {
         run.reconstruct(&scene, args.seed)?
     };
     session.check_stop()?;
-    let up = if args.as_is { alignment.up.axis } else { UpAxis::PlusZ };
+    let up = if args.as_is { alignment.up.direction } else { Up::PLUS_Z };
     let look = look(&scene, up, args)?;
     let _stage = session.receipt.stage("render");
     let pictures = ReconstructionPictures::new(&scene, &made, look.ceiling, look.near)?;
@@ -117,7 +118,7 @@ pub fn run(args: &Args, line: &str) -> Result<()> {
     session.finish()
 }
 
-fn look(scene: &GaussianScene, up: UpAxis, args: &Args) -> Result<Look> {
+fn look(scene: &GaussianScene, up: Up, args: &Args) -> Result<Look> {
     let size = args.size.unwrap_or(SIZE);
     let color = vec![[0; 3]; scene.len()];
     let sizes = SceneRows::of(scene);

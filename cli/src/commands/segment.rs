@@ -75,11 +75,11 @@ pub fn run(args: &Args, line: &str) -> Result<()> {
         let (scene, colors) = (&opened.loaded.scene, label_colors(labels));
         let name = args.input.name();
         let title = format!("{name}: labels{remark}");
-        let up = labelling.inference.up;
+        let up = session.up(opened, &labelling.inference);
         session.write_preview(scene, &colors, &legend(labels, names), title, up, args.preview)?;
     }
     if args.instances {
-        let frame = frame(opened, &labelling.inference);
+        let frame = frame(&session, opened, &labelling.inference);
         let found = labelled.objects(&session, &ObjectSettings::default(), false, frame)?;
         write_objects(&session, &labelled, &found)?;
         print(&summary(&found));

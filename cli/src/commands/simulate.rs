@@ -7,7 +7,7 @@ use anyhow::{Result, bail};
 use scenesplat::datasets::effects::{EffectSet, simulate_upright};
 use scenesplat::scene::formats::inria_ply::write_inria_ply;
 use scenesplat::scene::formats::npy_writer::write_npy;
-use scenesplat::scene::{ReadOptions, UpAxis, guess_up};
+use scenesplat::scene::{ReadOptions, Up, guess_up};
 use std::path::PathBuf;
 
 /// Does to a scene what a bad capture would have done: writes simulated.ply, source_rows.npy (the row
@@ -26,8 +26,8 @@ pub struct Args {
     #[arg(long, value_name = "N", default_value_t = 0)]
     pub seed: u64,
     /// Which way is up: for glass, and in the picture. [default: what inspect finds]
-    #[arg(long, value_name = "AXIS", value_parser = parse_up, allow_hyphen_values = true)]
-    pub up: Option<UpAxis>,
+    #[arg(long, value_name = "AXIS|X,Y,Z", value_parser = parse_up, allow_hyphen_values = true)]
+    pub up: Option<Up>,
     /// The picture.
     #[command(flatten)]
     pub preview: PreviewArgs,
@@ -83,9 +83,9 @@ pub fn run(args: &Args, line: &str) -> Result<()> {
         let name = args.scene.file_name().unwrap_or_default().to_string_lossy();
         let colors: Vec<[u8; 3]> =
             (0..found.scene.len()).map(|row| found.scene.color_u8(row)).collect();
-        let up = args.up.unwrap_or_else(|| guess_up(scene).axis);
+        let up = args.up.unwrap_or_else(|| guess_up(scene, opened.loaded.stated_up).direction);
         let title = format!("{name}: {}", args.effect);
-        session.write_preview(&found.scene, &colors, &[], title, Some(up), args.preview)?;
+        session.write_preview(&found.scene, &colors, &[], title, up, args.preview)?;
     }
     session.finish()
 }

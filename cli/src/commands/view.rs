@@ -82,7 +82,7 @@ pub fn run(args: &Args, line: &str) -> Result<()> {
     let server = if args.serve { Some(PageServer::bind(args.port)?) } else { None };
     let labelled =
         if args.plain { plain(labels, &session)? } else { labels.label(&session, false)? };
-    let frame = frame(&labelled.opened, inference);
+    let frame = frame(&session, &labelled.opened, inference);
     let objects = || labelled.objects(&session, &labels.settings(), labels.pieces, frame);
     let found = (!args.plain).then(objects).transpose()?;
     session.check_stop()?;

@@ -1,11 +1,79 @@
-//! Reports how a scene lies, and what the network makes of it.
+//! How a scene lies: finds it out once for a run, and reports what the network makes of it.
 
 use super::Session;
 use crate::error::refuse;
+use crate::flags::Inference;
+use crate::progress::interrupted;
 use anyhow::Result;
-use scenesplat::alignment::{Alignment, Remark};
+use scenesplat::SceneEncoder;
+use scenesplat::alignment::judge::judged;
+use scenesplat::alignment::{Alignment, AlignmentSettings, Remark};
+use scenesplat::familiarity::Familiarity;
+use scenesplat::inference::EncodeError;
+use scenesplat::outputs::OpenedScene;
+use scenesplat::scene::Up;
 
 impl Session<'_> {
+    /// How a scene lies: as the network of this run reads it, or, without one, by its shape.
+    pub fn alignment(&self, opened: &OpenedScene, inference: &Inference) -> Alignment {
+        // The network inside the program knows rooms along the axes: one answer for all who ask.
+        let is_square = inference.network.is_embedded();
+        self.shape_alignment(opened, &inference.alignment(&opened.loaded, is_square))
+    }
+
+    /// How a scene lies by its shape, if nothing else was found out before.
+    pub fn shape_alignment(&self, opened: &OpenedScene, settings: &AlignmentSettings) -> Alignment {
+        self.known(opened, settings).unwrap_or_else(|| {
+            let _stage = self.receipt.stage("alignment");
+            self.remember(opened, settings, Alignment::of(&opened.loaded.scene, settings))
+        })
+    }
+
+    /// As [`shape_alignment`](Self::shape_alignment); where the shape leaves up open, the network inside the program,
+    /// which the encoder runs, decides.
+    pub fn judged_alignment(
+        &self,
+        opened: &OpenedScene,
+        settings: &AlignmentSettings,
+        encoder: &SceneEncoder<'_>,
+    ) -> Result<Alignment> {
+        let found = self.shape_alignment(opened, settings);
+        if !found.is_open() || found.judged {
+            return Ok(found);
+        }
+        let _stage = self.receipt.stage("alignment");
+        self.progress
+            .say("which way is up is unclear: the network looks at the scene in several poses");
+        let (scene, familiar) = (&opened.loaded.scene, Familiarity::embedded()?);
+        let found = judged(encoder, &familiar, scene, settings, found, &mut |_| {
+            if interrupted() { Err(EncodeError::Stopped) } else { Ok(()) }
+        })?;
+        Ok(self.remember(opened, settings, found))
+    }
+
+    /// Which way is up in a picture of a scene.
+    pub fn up(&self, opened: &OpenedScene, inference: &Inference) -> Up {
+        inference.up.unwrap_or_else(|| self.alignment(opened, inference).up.direction)
+    }
+
+    fn known(&self, opened: &OpenedScene, settings: &AlignmentSettings) -> Option<Alignment> {
+        let aligned = self.aligned.borrow();
+        let (path, is_square, alignment) = aligned.as_ref()?;
+        let fits = *path == opened.loaded.path && (*is_square || !settings.square);
+        fits.then(|| alignment.clone())
+    }
+
+    fn remember(
+        &self,
+        opened: &OpenedScene,
+        settings: &AlignmentSettings,
+        alignment: Alignment,
+    ) -> Alignment {
+        let known = (opened.loaded.path.clone(), settings.square, alignment.clone());
+        *self.aligned.borrow_mut() = Some(known);
+        alignment
+    }
+
     /// Records what heights are measured from, and reports it where it is uncertain.
     pub fn tell_floor(
         &self,
@@ -52,9 +120,12 @@ impl Session<'_> {
         let why = match (as_is, up.given) {
             (true, _) => "as is: the network takes +z for up",
             (false, true) => "up in the scene, as given",
-            (false, false) => "up in the scene, by its shape",
+            (false, false) if alignment.judged => "up in the scene, by its shape and the network",
+            (false, false) if up.is_sure() => "up in the scene, by its shape",
+            (false, false) => "up in the scene, as the convention of its format has it",
         };
-        self.receipt.setting("up", up.axis, why);
+        self.receipt.setting("up", up.direction, why);
+        self.receipt.alignment(alignment.report());
         for remark in &alignment.remarks {
             if let Some((name, value, why)) = setting(remark) {
                 self.receipt.setting(name, value, why);
@@ -101,8 +172,9 @@ fn setting(remark: &Remark) -> Option<(&'static str, String, &'static str)> {
 fn text(remark: &Remark, given: bool) -> String {
     match *remark {
         Remark::Turned { from } => format!(
-            "up is {from}{}: the network reads a copy turned to +z; files keep their frame \
-             (--up AXIS if it is another, --as-is to leave it)",
+            "up is {}{}: the network reads a copy turned to +z; files keep their frame \
+             (--up AXIS or X,Y,Z if it is another, --as-is to leave it)",
+            from.described(),
             if given { "" } else { ", by the shape of the scene" }
         ),
         Remark::Scaled { by } => format!(
@@ -122,8 +194,8 @@ fn text(remark: &Remark, given: bool) -> String {
              {by:.3} m per unit; files keep their unit (--unit m if these are metres)"
         ),
         Remark::UpUnclear { likely, confidence } => format!(
-            "WHICH WAY IS UP IS UNCLEAR ({likely} is likeliest, confidence {confidence:.2}): the \
-             network takes +z for up, and most labels are lost if it is not; say it with --up AXIS"
+            "WHICH WAY IS UP IS UNCLEAR (confidence {confidence:.2}): {likely} is taken, by the \
+             convention of the file's format, and most labels are lost if it is not; say it with --up AXIS or X,Y,Z"
         ),
         Remark::UnitUnclear { likely, confidence } => {
             let unit = likely.symbol();

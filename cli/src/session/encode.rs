@@ -4,11 +4,9 @@ use super::{FeatureSource, Session};
 use crate::flags::Inference;
 use crate::progress::interrupted;
 use anyhow::{Context, Result};
-use scenesplat::alignment::Alignment;
 use scenesplat::inference::{EncodeError, Fidelity};
 use scenesplat::input::read_features;
 use scenesplat::outputs::OpenedScene;
-use scenesplat::scene::GaussianScene;
 use scenesplat::{Network, SceneEncoder, SceneFeatures};
 use scenesplat_lab::compensation::{Compensation, tiles_section};
 
@@ -23,7 +21,7 @@ impl Session<'_> {
     ) -> Result<SceneFeatures> {
         let scene = &opened.loaded.scene;
         match source {
-            FeatureSource::Network(network) => self.encode(scene, network, inference, about),
+            FeatureSource::Network(network) => self.encode(opened, network, inference, about),
             FeatureSource::File(path) => Ok(read_features(path, &opened.loaded)?),
             FeatureSource::Codes => {
                 SceneFeatures::from_codes(scene).context("the scene carries no language codes")
@@ -34,14 +32,19 @@ impl Session<'_> {
     /// Runs the network over the rows of a scene that `about` keeps.
     pub fn encode(
         &self,
-        scene: &GaussianScene,
+        opened: &OpenedScene,
         network: &Network,
         inference: &Inference,
         about: &Compensation,
     ) -> Result<SceneFeatures> {
-        let _stage = self.receipt.stage("network");
+        let scene = &opened.loaded.scene;
         let encoder = self.encoder(network, inference);
-        let alignment = Alignment::of(scene, &inference.alignment(network.is_square()));
+        let settings = inference.alignment(&opened.loaded, network.is_square());
+        let alignment = match inference.network.is_embedded() {
+            true => self.judged_alignment(opened, &settings, &encoder)?,
+            false => self.shape_alignment(opened, &settings),
+        };
+        let _stage = self.receipt.stage("network");
         self.tell_alignment(&alignment, inference.as_is);
         self.tell_floor(&alignment, network.input().reads_height(), inference.floor)?;
         self.note_encoder(&encoder, inference);

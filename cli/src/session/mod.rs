@@ -18,6 +18,7 @@ use crate::receipt::Receipt;
 use anyhow::Result;
 pub use novelty::Novelty;
 pub use open::FeatureSource;
+use scenesplat::alignment::Alignment;
 use scenesplat::inference::EncodeError;
 use scenesplat::kernels::simd::Isa;
 use scenesplat::network::{NetworkChoice, Weights};
@@ -38,6 +39,9 @@ pub struct Session<'a> {
     written: RefCell<Vec<(PathBuf, u64)>>,
     /// The scene, where a budget had to look at it before.
     input: RefCell<Option<(OpenedScene, Option<String>)>>,
+    /// How the scene of this file lies, and whether its walls were looked at: one answer for network, boxes and
+    /// pictures.
+    aligned: RefCell<Option<(PathBuf, bool, Alignment)>>,
 }
 
 impl<'a> Session<'a> {
@@ -49,8 +53,8 @@ impl<'a> Session<'a> {
         receipt.threads(rayon::current_num_threads());
         let outputs = Outputs::new(&shared.out);
         outputs.claim_any("--receipt", shared.receipt.as_ref())?;
-        let (written, input) = (RefCell::default(), RefCell::default());
-        Ok(Self { shared, receipt, progress, outputs, written, input })
+        let (written, input, aligned) = Default::default();
+        Ok(Self { shared, receipt, progress, outputs, written, input, aligned })
     }
 
     /// As [`start`](Self::start) for a command with a network, whose files are inputs.

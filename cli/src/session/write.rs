@@ -9,7 +9,7 @@ use scenesplat::memory::Bytes;
 use scenesplat::outputs::{OpenedScene, write_scene_preview};
 use scenesplat::preview::LegendEntry;
 use scenesplat::scene::formats::npy_writer::{NpyElement, write_npy};
-use scenesplat::scene::{GaussianScene, UpAxis, guess_up, printable};
+use scenesplat::scene::{GaussianScene, Up, printable};
 use std::path::{Path, PathBuf};
 
 impl Session<'_> {
@@ -41,17 +41,17 @@ impl Session<'_> {
         self.write(name, |path| write_npy(path, &[rows.len()], &rows))
     }
 
-    /// Writes preview.png: the scene in these colors, seen with `up` up, or what its shape says.
+    /// Writes preview.png: the scene in these colors, seen with `up` up.
     pub fn write_preview(
         &self,
         scene: &GaussianScene,
         colors: &[[u8; 3]],
         legend: &[LegendEntry],
         title: String,
-        up: Option<UpAxis>,
+        up: Up,
         preview: PreviewArgs,
     ) -> Result<()> {
-        let settings = preview.settings(title, up.unwrap_or_else(|| guess_up(scene).axis));
+        let settings = preview.settings(title, up);
         self.write("preview.png", |path| {
             write_scene_preview(scene, colors, legend, &settings, path)
         })

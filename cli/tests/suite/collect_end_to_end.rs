@@ -13,7 +13,7 @@ use scenesplat::scene::formats::cameras::write_cameras_json;
 use scenesplat::scene::formats::npy_folder::write_npy_folder;
 use scenesplat::scene::gaussian_scene::u8_to_dc;
 use scenesplat::scene::picture::{Channels, Picture, Samples};
-use scenesplat::scene::{TextTable, UpAxis};
+use scenesplat::scene::{TextTable, Up};
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::time::Instant;
@@ -136,7 +136,7 @@ fn world(dir: &Path, size: &Size) -> Vec<String> {
 
     let gaussians = Gaussians::from_scene(&scene).unwrap();
     let plan =
-        ViewPlanSettings { count: size.views, size: size.picture, fov: 75.0, up: UpAxis::PlusZ };
+        ViewPlanSettings { count: size.views, size: size.picture, fov: 75.0, up: Up::PLUS_Z };
     let began = Instant::now();
     let plan = plan_views(&gaussians, &plan).unwrap();
     println!(

@@ -6,7 +6,7 @@ use scenesplat::rooms::{SyntheticRoomSettings, generate};
 use scenesplat::scene::formats::cameras::write_cameras_json;
 use scenesplat::scene::formats::npy_writer::write_npy;
 use scenesplat::scene::picture::{Channels, Picture, RgbPicture, Samples, read_picture};
-use scenesplat::scene::{Camera, UpAxis, open_cameras};
+use scenesplat::scene::{Camera, Up, open_cameras};
 #[cfg(feature = "onnx")]
 use std::path::Path;
 use std::process::{Output, Stdio};
@@ -34,7 +34,7 @@ impl World {
             let turn = std::f64::consts::TAU * i as f64 / COUNT as f64;
             let target = [eye[0] + turn.cos(), eye[1] + turn.sin(), eye[2] - 0.3];
             let look = LookAt { eye, target, fov: 60.0 };
-            look.camera(&format!("{i:03}.png"), UpAxis::PlusZ, SIZE).unwrap()
+            look.camera(&format!("{i:03}.png"), Up::PLUS_Z, SIZE).unwrap()
         };
         let cameras: Vec<Camera> = (0..COUNT).map(camera).collect();
         let cameras = folder.cameras("cameras.json", &cameras);

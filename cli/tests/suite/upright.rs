@@ -4,7 +4,7 @@
 use crate::support::*;
 use scenesplat::scene::formats::npy_writer::write_npy;
 use scenesplat::scene::picture::{Samples, read_picture};
-use scenesplat::scene::{Camera, Similarity, UpAxis};
+use scenesplat::scene::{Camera, Similarity, Up};
 use std::path::{Path, PathBuf};
 
 struct World(Folder);
@@ -13,12 +13,12 @@ impl World {
     /// With the upright room in it.
     fn new() -> Self {
         let world = Self(Folder::new());
-        world.lying("upright", UpAxis::PlusZ, 1.0);
+        world.lying("upright", Up::PLUS_Z, 1.0);
         world
     }
 
     /// Writes the room with another direction up, and another unit.
-    fn lying(&self, name: &str, up: UpAxis, scale: f64) {
+    fn lying(&self, name: &str, up: Up, scale: f64) {
         let m = up.upright();
         let rotation = [0, 1, 2].map(|i| [0, 1, 2].map(|j| m[j][i]));
         let mut scene = room(20_000, 0x5EED);
@@ -51,13 +51,13 @@ fn segment_labels_a_lying_room_as_the_upright_one() {
     let due = world.floats("upright/labels.npy");
     let same = |out: &str| alike(&world.floats(&format!("{out}/labels.npy")), &due, 0.0);
     for (up, scale) in [
-        (UpAxis::MinusY, 1.0),
-        (UpAxis::PlusY, 1.0),
-        (UpAxis::PlusX, 1.0),
-        (UpAxis::MinusX, 1.0),
-        (UpAxis::MinusY, 1000.0),
+        (Up::MINUS_Y, 1.0),
+        (Up::PLUS_Y, 1.0),
+        (Up::PLUS_X, 1.0),
+        (Up::MINUS_X, 1.0),
+        (Up::MINUS_Y, 1000.0),
     ] {
-        let name = format!("{}-{scale}", up.name());
+        let name = format!("{up}-{scale}");
         world.lying(&name, up, scale);
         let said = world.run("segment", &name, &name, "");
         has(&said, &[&format!("up is {up}"), "turned to +z"]);
@@ -79,7 +79,7 @@ fn segment_labels_a_lying_room_as_the_upright_one() {
 #[test]
 fn features_queries_and_scores_are_those_of_the_upright_room() {
     let world = World::new();
-    world.lying("lying", UpAxis::MinusY, 1.0);
+    world.lying("lying", Up::MINUS_Y, 1.0);
     let both = |command: &str, more: &str, file: &str| {
         ["upright", "lying"].map(|scene| {
             world.run(command, scene, scene, more);
@@ -148,8 +148,8 @@ fn every_direction_is_found_and_drawn_upright() {
     };
     let due = orbit("upright", "");
     let file = world.0.at("seen.json");
-    for up in [UpAxis::MinusZ, UpAxis::PlusY, UpAxis::MinusY, UpAxis::PlusX, UpAxis::MinusX] {
-        let name = up.name();
+    for up in [Up::MINUS_Z, Up::PLUS_Y, Up::MINUS_Y, Up::PLUS_X, Up::MINUS_X] {
+        let name = &up.to_string();
         world.lying(name, up, 1.0);
         let scene = world.0.at(&format!("{name}.ply"));
         done(&run!("inspect {scene} --no-sheet --json {file}"));
@@ -171,7 +171,7 @@ fn lifted_labels_are_drawn_upright() {
     write_npy(&world.0.path("segments/a_s.npy"), &shape, &ids).unwrap();
     let table = world.0.path("segments/a_f.npy");
     write_npy(&table, &[2, 2], &[1.0f32, 0.0, 0.0, 1.0]).unwrap();
-    let preview = |scene: &str, up: UpAxis, more: &str| {
+    let preview = |scene: &str, up: Up, more: &str| {
         // Looks down into the room from above, wherever that is.
         let m = up.upright();
         let down = [[1.0, 0.0, 0.0], [0.0, -1.0, 0.0], [0.0, 0.0, -1.0]];
@@ -191,9 +191,9 @@ fn lifted_labels_are_drawn_upright() {
         );
         world.0.path(&out).join("preview.png")
     };
-    world.lying("lying", UpAxis::MinusY, 1.0);
-    let due = preview("upright", UpAxis::PlusZ, "");
-    let far = |more: &str| apart(&preview("lying", UpAxis::MinusY, more), &due);
+    world.lying("lying", Up::MINUS_Y, 1.0);
+    let due = preview("upright", Up::PLUS_Z, "");
+    let far = |more: &str| apart(&preview("lying", Up::MINUS_Y, more), &due);
     assert!(far("") < 2.0, "{}", far(""));
     assert!(far("--up +z") > 5.0, "{}", far("--up +z"));
 }

@@ -6,7 +6,7 @@ use glam::{DMat3, DVec3};
 use scenesplat_kernels::neighbors::KdTree;
 use scenesplat_rasterizer::{Gaussians, View};
 use scenesplat_scene::quantile::quantile;
-use scenesplat_scene::{Camera, Distortion, UpAxis};
+use scenesplat_scene::{Camera, Distortion, Up};
 
 /// Opacity from which on a Gaussian is in the way.
 const SOLID: f32 = 0.3;
@@ -37,7 +37,7 @@ pub struct ViewPlanSettings {
     /// Angle of view across the shorter side, degrees, above 0 and below 180.
     pub fov: f64,
     /// Which way is up.
-    pub up: UpAxis,
+    pub up: Up,
 }
 
 /// Cameras, and what they are worth.
@@ -307,7 +307,7 @@ mod tests {
     use scenesplat_rooms::{SyntheticRoomSettings, generate};
 
     fn settings(count: usize) -> ViewPlanSettings {
-        ViewPlanSettings { count, size: [96, 72], fov: 75.0, up: UpAxis::PlusZ }
+        ViewPlanSettings { count, size: [96, 72], fov: 75.0, up: Up::PLUS_Z }
     }
 
     #[test]

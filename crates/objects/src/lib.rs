@@ -11,7 +11,7 @@
 //! ```
 //! use scenesplat_objects::{ObjectInput, ObjectSettings, find_objects};
 //! use scenesplat_rooms::{CLASSES, SyntheticRoomSettings, generate};
-//! use scenesplat_scene::UpAxis;
+//! use scenesplat_scene::Up;
 //!
 //! let room = generate(&SyntheticRoomSettings::with_count(20_000, 1))?;
 //! let names: Vec<String> = CLASSES.iter().map(|c| c.name.to_owned()).collect();
@@ -22,7 +22,7 @@
 //!     instances: None,
 //!     features: None,
 //!     names: &names,
-//!     upright: UpAxis::PlusZ.upright(),
+//!     upright: Up::PLUS_Z.upright(),
 //!     metres_per_unit: 1.0,
 //!     floor: None,
 //! };

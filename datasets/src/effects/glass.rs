@@ -8,7 +8,7 @@ use super::{Effect, Simulated, rng};
 use crate::rng::{between, happens};
 use crate::transforms::quaternion;
 use scenesplat_scene::gaussian_scene::probability_to_logit;
-use scenesplat_scene::{GaussianScene, SceneError, UpAxis, guess_up};
+use scenesplat_scene::{GaussianScene, SceneError, StatedUp, Up, guess_up};
 
 /// Cosine of the angle at which reflections were seen: 60°, 7 % of the light.
 const GHOST_COSINE: f64 = 0.5;
@@ -26,9 +26,9 @@ pub(super) fn glass(
     out: &mut Simulated,
     severity: f64,
     seed: u64,
-    up: Option<UpAxis>,
+    up: Option<Up>,
 ) -> Result<(usize, String), SceneError> {
-    let up = up.unwrap_or_else(|| guess_up(&out.scene).axis);
+    let up = up.unwrap_or_else(|| guess_up(&out.scene, StatedUp::UPRIGHT).direction);
     let Some(wall) = largest_wall(&out.scene.coord, up) else {
         return Ok((0, "no upright plane that could hold a pane".to_owned()));
     };
@@ -180,7 +180,7 @@ mod tests {
 
     fn glassy(severity: f64, seed: u64) -> Simulated {
         let set = EffectSet::default().with(Effect::Glass, severity).unwrap();
-        let out = simulate_upright(&scene(), &set, seed, Some(UpAxis::PlusZ)).unwrap();
+        let out = simulate_upright(&scene(), &set, seed, Some(Up::PLUS_Z)).unwrap();
         out.scene.check_rows().unwrap();
         out
     }
@@ -216,7 +216,7 @@ mod tests {
         }
         assert!(sheet > 50 && ghosts > 100, "{sheet} {ghosts}: {:?}", out.done);
         // Light through the sheet, as the areas of its Gaussians say: 1 − α of it.
-        let wall = largest_wall(&before.coord, UpAxis::PlusZ).unwrap();
+        let wall = largest_wall(&before.coord, Up::PLUS_Z).unwrap();
         let pane = Pane::on(&wall, 5.0, 3);
         let area = std::f64::consts::TAU * 0.02 * 0.02;
         let taken: f64 = (0..scene.len())
@@ -231,7 +231,7 @@ mod tests {
     fn mirror_images_have_mirrored_covariances() {
         let mut scene = scene();
         let row = scene.len() - 1;
-        let wall = largest_wall(&scene.coord, UpAxis::PlusZ).unwrap();
+        let wall = largest_wall(&scene.coord, Up::PLUS_Z).unwrap();
         let pane = Pane::on(&wall, 5.0, 3);
         let axis = |scene: &GaussianScene| {
             let m = quaternion::matrix(quaternion::unit(scene.quat[row].map(f64::from)));

@@ -28,7 +28,7 @@ pub use set::{Effect, EffectError, EffectSet, MOST_SEVERE};
 
 use crate::rng::SampleRng;
 use scenesplat_kernels::random::purpose_rng;
-use scenesplat_scene::{GaussianScene, SceneError, UpAxis};
+use scenesplat_scene::{GaussianScene, SceneError, Up};
 
 /// Purposes of random numbers from here on are those of effects.
 const FIRST_PURPOSE: u8 = 64;
@@ -113,7 +113,7 @@ pub fn simulate_upright(
     scene: &GaussianScene,
     effects: &EffectSet,
     seed: u64,
-    up: Option<UpAxis>,
+    up: Option<Up>,
 ) -> Result<Simulated, SceneError> {
     scene.check_rows()?;
     let mut out = Simulated::of(scene);
@@ -131,7 +131,7 @@ fn apply(
     effect: Effect,
     severity: f64,
     seed: u64,
-    up: Option<UpAxis>,
+    up: Option<Up>,
     panes: Option<&[Pane]>,
 ) -> Result<(usize, String), SceneError> {
     Ok(match effect {

@@ -3,7 +3,7 @@
 use super::strength::{GLASS_ALPHA, GLASS_SHARE};
 use super::{Effect, rng};
 use crate::rng::between;
-use scenesplat_scene::UpAxis;
+use scenesplat_scene::Up;
 use scenesplat_scene::bounds::robust_bounds;
 use scenesplat_scene::vector::{cross, dot};
 
@@ -125,7 +125,7 @@ fn fullest_line(level: &[[f64; 2]], thickness: f64) -> Option<([f64; 2], f64)> {
 /// The upright plane with the most Gaussians; `None` if every plane has less than 3 % of the
 /// Gaussians, or is less than a tenth of the scene's diagonal wide or high. Gaussians that are nowhere
 /// do not count.
-pub fn largest_wall(coord: &[[f32; 3]], up: UpAxis) -> Option<Wall> {
+pub fn largest_wall(coord: &[[f32; 3]], up: Up) -> Option<Wall> {
     let there = coord.iter().filter(|p| p.iter().all(|v| v.is_finite()));
     let there: Vec<[f64; 3]> = there.map(|p| p.map(f64::from)).collect();
     let bounds = robust_bounds(coord);
@@ -138,11 +138,7 @@ pub fn largest_wall(coord: &[[f32; 3]], up: UpAxis) -> Option<Wall> {
     let inside = |p: &[f64; 3]| room.distance(p.map(|v| v as f32)) == 0.0;
     let step = there.len().div_ceil(SAMPLE).max(1);
     let points: Vec<[f64; 3]> = there.iter().step_by(step).copied().filter(inside).collect();
-    let (axis, positive) = up.axis();
-    let unit = |a: usize, sign: f64| std::array::from_fn(|i| if i == a { sign } else { 0.0 });
-    let up: [f64; 3] = unit(axis, if positive { 1.0 } else { -1.0 });
-    let first: [f64; 3] = unit((axis + 1) % 3, 1.0);
-    let second = cross(up, first);
+    let [first, second, up] = up.upright();
     let thickness = THICKNESS * diagonal;
     let level: Vec<[f64; 2]> = points.iter().map(|&p| [dot(p, first), dot(p, second)]).collect();
     let (facing, mut offset) = fullest_line(&level, thickness)?;
@@ -274,7 +270,7 @@ mod tests {
     #[test]
     fn the_largest_wall_of_a_turned_room_is_found() {
         for turn in [0.0, 0.3, 1.2, -2.5] {
-            let wall = largest_wall(&room(turn), UpAxis::PlusZ).unwrap();
+            let wall = largest_wall(&room(turn), Up::PLUS_Z).unwrap();
             // The wall y = −1.5 faces +y, turned with the room.
             let want = [-f64::sin(turn), f64::cos(turn), 0.0];
             assert!(dot(wall.normal, want) > 0.9999, "{turn}: {wall:?}");
@@ -294,20 +290,20 @@ mod tests {
             ball.push(d.map(|v| (r * v) as f32));
         }
         // A slab of a ball through its middle, a hundredth of its diagonal to each side, holds little.
-        let found = largest_wall(&ball, UpAxis::PlusZ);
+        let found = largest_wall(&ball, Up::PLUS_Z);
         assert!(found.is_none_or(|wall| wall.offset.abs() < 0.5), "{found:?}");
         let floor: Vec<[f32; 3]> =
             (0..2500).map(|i| [(i % 50) as f32, (i / 50) as f32, 0.0]).collect();
-        assert_eq!(largest_wall(&floor, UpAxis::PlusZ), None);
-        assert!(largest_wall(&floor, UpAxis::PlusX).is_some(), "it is a wall if x is up");
-        assert_eq!(largest_wall(&[], UpAxis::PlusZ), None);
-        assert_eq!(largest_wall(&[[f32::NAN; 3]; 9], UpAxis::PlusZ), None);
-        assert_eq!(largest_wall(&[[1.0; 3]; 900], UpAxis::PlusZ), None);
+        assert_eq!(largest_wall(&floor, Up::PLUS_Z), None);
+        assert!(largest_wall(&floor, Up::PLUS_X).is_some(), "it is a wall if x is up");
+        assert_eq!(largest_wall(&[], Up::PLUS_Z), None);
+        assert_eq!(largest_wall(&[[f32::NAN; 3]; 9], Up::PLUS_Z), None);
+        assert_eq!(largest_wall(&[[1.0; 3]; 900], Up::PLUS_Z), None);
     }
 
     #[test]
     fn panes_are_of_the_stated_size_and_on_the_wall() {
-        let wall = largest_wall(&room(0.7), UpAxis::PlusZ).unwrap();
+        let wall = largest_wall(&room(0.7), Up::PLUS_Z).unwrap();
         for (severity, seed) in [(0.1, 0), (1.0, 1), (5.0, 2)] {
             let pane = Pane::on(&wall, severity, seed);
             let area = 4.0 * pane.half[0] * pane.half[1];

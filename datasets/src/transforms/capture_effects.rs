@@ -7,7 +7,7 @@ use crate::{DataError, Sample, SampleRng, Transform};
 use half::f16;
 use rand_chacha::rand_core::RngCore;
 use scenesplat_scene::gaussian_scene::{SH_C0, probability_to_logit};
-use scenesplat_scene::{GaussianScene, LanguageFeatures, UpAxis};
+use scenesplat_scene::{GaussianScene, LanguageFeatures, Up};
 use serde::{Deserialize, Serialize};
 
 /// With `probability`, does to the scene what a bad capture would have done: holes, floaters, rough
@@ -63,7 +63,7 @@ pub(super) fn check_place(sample: &Sample, step: &'static str) -> Result<(), Dat
 /// Does to a sample what the effects do; +z is up.
 pub(super) fn damage(sample: &mut Sample, effects: &EffectSet, seed: u64) -> Result<(), DataError> {
     let before = as_scene(sample);
-    let after = simulate_upright(&before, effects, seed, Some(UpAxis::PlusZ))?;
+    let after = simulate_upright(&before, effects, seed, Some(Up::PLUS_Z))?;
     // Added Gaussians begin as any row; everything of it is replaced.
     let rows: Vec<u32> = after.source.iter().map(|row| row.unwrap_or(0) as u32).collect();
     sample.select_rows(&rows);
@@ -171,7 +171,7 @@ mod tests {
         got.check().unwrap();
         assert!(happens(&mut rng, 1.0));
         let drawn = step.effects.draw(&mut rng);
-        let up = Some(UpAxis::PlusZ);
+        let up = Some(Up::PLUS_Z);
         let simulated = simulate_upright(&scene, &drawn, rng.next_u64(), up).unwrap();
         assert!(simulated.source.iter().any(Option::is_none) && simulated.scene.len() < 1000);
         let want = Sample::from_scene("room", simulated.scene);

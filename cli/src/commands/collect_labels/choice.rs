@@ -8,20 +8,21 @@ use scenesplat::collection::{
     Shown, ViewPlanSettings, choose_pictures, fit_photo, plan_views, relative_sharpness, seen_in,
 };
 use scenesplat::rasterizer::{Gaussians, View};
-use scenesplat::scene::{Camera, GaussianScene, guess_up};
+use scenesplat::scene::{Camera, LoadedScene, guess_up};
 use scenesplat_lab::capture::frame_figures;
 
 /// Cameras for a scene without photos.
 pub(super) fn planned(
     session: &Session<'_>,
     args: &Args,
-    scene: &GaussianScene,
+    loaded: &LoadedScene,
     gaussians: &Gaussians,
     count: u16,
 ) -> Result<Vec<Frame>> {
     let _stage = session.receipt.stage("frames");
     session.progress.say("planning views");
-    let up = args.lifting.up.unwrap_or_else(|| guess_up(scene).axis);
+    let scene = &loaded.scene;
+    let up = args.lifting.up.unwrap_or_else(|| guess_up(scene, loaded.stated_up).direction);
     let settings =
         ViewPlanSettings { count: usize::from(count), size: args.size, fov: args.fov, up };
     let plan = plan_views(gaussians, &settings)?;

@@ -42,9 +42,7 @@ pub fn run(args: &Args, line: &str) -> Result<()> {
     let gaussians = Gaussians::from_scene(&opened.loaded.scene)?;
     args.record(&session, &sources);
     let frames = match (args.render, args.max_frames) {
-        (Some(count), _) => {
-            choice::planned(&session, args, &opened.loaded.scene, &gaussians, count)?
-        }
+        (Some(count), _) => choice::planned(&session, args, &opened.loaded, &gaussians, count)?,
         (None, Some(most)) => choice::chosen(&session, photos, &gaussians, most)?,
         (None, None) => photos,
     };

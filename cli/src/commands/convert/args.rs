@@ -2,11 +2,11 @@
 
 use crate::flags::{Running, SourceArgs, SpzFrameArg, parse_positive};
 use clap::builder::{PossibleValue, PossibleValuesParser, TypedValueParser};
-use scenesplat::scene::SceneFormat;
 use scenesplat::scene::edit::{
     CropBox, EulerAngles, FrameChange, Offset, SampleSize, SceneEdit, UpSource,
 };
 use scenesplat::scene::formats::FORMATS;
+use scenesplat::scene::{SceneFormat, StatedUp};
 use std::path::PathBuf;
 
 /// Writes a scene in another format, whole or in part; several scenes become one. Labels, scores,
@@ -98,8 +98,8 @@ pub struct Args {
 }
 
 impl Args {
-    /// What is done to the scene.
-    pub fn edit(&self) -> SceneEdit {
+    /// What is done to a scene whose file says this about up.
+    pub fn edit(&self, stated_up: StatedUp) -> SceneEdit {
         SceneEdit {
             crop: self.crop,
             sample: self.sample,
@@ -107,6 +107,7 @@ impl Args {
             scale: self.scale,
             frame: self.frame,
             up: self.up,
+            stated_up,
             level: self.level,
             rotate: self.rotate,
             translate: self.translate,

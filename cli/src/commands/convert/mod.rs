@@ -22,7 +22,7 @@ pub fn run(args: &Args) -> Result<()> {
     let source = read::read(args, format, &progress)?;
     let (scene, floaters) = without_floaters(args, source.scene, &progress)?;
     let before = scene.len();
-    let (scene, edited) = args.edit().apply(scene)?;
+    let (scene, edited) = args.edit(source.stated_up).apply(scene)?;
     if edited.rows.is_some() {
         progress.say(format!("{} of {before} Gaussians kept", scene.len()));
     }
@@ -85,7 +85,8 @@ fn turns(edited: &EditReport) -> Vec<String> {
     let mut lines = Vec::new();
     if let Some(up) = &edited.up {
         let doubt = if up.is_sure() { "" } else { "; hardly more than a habit, --up AXIS says it" };
-        lines.push(format!("up was {} ({}{doubt}), and is +z now", up.axis, up.evidence));
+        let direction = up.direction.described();
+        lines.push(format!("up was {direction} ({}{doubt}), and is +z now", up.evidence));
     }
     if let Some(level) = &edited.level {
         lines.push(if level.has_floor() {

@@ -8,13 +8,15 @@ use anyhow::{Context, Result};
 use scenesplat::input::{open_input, read_feature_rows};
 use scenesplat::language_codes::compress_features;
 use scenesplat::scene::edit::merge;
-use scenesplat::scene::{GaussianScene, ReadOptions, SceneFormat};
+use scenesplat::scene::{GaussianScene, ReadOptions, SceneFormat, StatedUp};
 use serde_json::json;
 
 /// What is converted.
 pub struct Source {
     /// The scene.
     pub scene: GaussianScene,
+    /// What the first file says about up.
+    pub stated_up: StatedUp,
     /// Rows of all files.
     pub source_rows: usize,
     /// Rows that cannot be used.
@@ -32,6 +34,7 @@ pub fn read(args: &Args, format: SceneFormat, progress: &Progress) -> Result<Sou
     };
     let (mut scenes, mut about) = (Vec::new(), Vec::new());
     let (mut source_rows, mut dropped, mut kept) = (0, 0, None);
+    let mut stated_up = None;
     for (number, path) in args.from.iter().enumerate() {
         progress.advance("reading", number as f64 / args.from.len() as f64);
         let (opened, remark) = open_input(path, &options)?;
@@ -52,6 +55,7 @@ pub fn read(args: &Args, format: SceneFormat, progress: &Progress) -> Result<Sou
             "gaussians": loaded.source_rows(),
             "read": loaded.report,
         }));
+        stated_up.get_or_insert(loaded.stated_up);
         kept = loaded.kept_rows;
         scenes.push(loaded.scene);
     }
@@ -66,7 +70,8 @@ pub fn read(args: &Args, format: SceneFormat, progress: &Progress) -> Result<Sou
         1 => about.remove(0),
         _ => json!({ "scenes": about, "gaussians": source_rows, "notes": merged.notes }),
     };
-    Ok(Source { scene, source_rows, dropped, about })
+    let stated_up = stated_up.unwrap_or_default();
+    Ok(Source { scene, stated_up, source_rows, dropped, about })
 }
 
 /// Makes codes from the features of the scene or of a file.

@@ -80,7 +80,7 @@ fn score(
     }
     let Some((source, wish)) = source else { return Ok(()) };
     let consumer = Consumer { network: source.is_network(), labels: true };
-    let about = session.compensation(wish, scene, &args.inference, consumer)?;
+    let about = session.compensation(wish, opened, &args.inference, consumer)?;
     let features = session.features(opened, source, &args.inference, &about)?;
     let is_classifier = source.classifier().is_some();
     let is_vocabulary = !is_classifier && args.has_vocabulary(source)?;

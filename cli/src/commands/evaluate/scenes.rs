@@ -9,7 +9,7 @@ use scenesplat::datasets::{DataSource, SourceScene, SyntheticRooms};
 use scenesplat::evaluation::classes_of_rooms;
 use scenesplat::outputs::OpenedScene;
 use scenesplat::rooms::{Capture, FurnitureSplit, SyntheticRoomSettings};
-use scenesplat::scene::{LoadedScene, SceneFormat};
+use scenesplat::scene::{LoadedScene, SceneFormat, StatedUp};
 use std::path::PathBuf;
 use std::sync::Arc;
 
@@ -115,7 +115,8 @@ impl Input {
                 session.receipt.add_rows_in(scene.len());
                 let path = PathBuf::from(id);
                 let kind = SceneFormat::Ply;
-                let loaded = LoadedScene { scene, report, kept_rows: None, path, kind };
+                let stated_up = StatedUp::UPRIGHT;
+                let loaded = LoadedScene { scene, report, kept_rows: None, path, kind, stated_up };
                 Ok(OpenedScene { loaded, converted: false })
             }
         }

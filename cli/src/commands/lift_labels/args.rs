@@ -8,7 +8,7 @@ use clap::builder::TypedValueParser;
 use scenesplat::datasets::effects::plan::EffectChoices;
 use scenesplat::memory::Bytes;
 use scenesplat::rasterizer::lifting::{DepthTolerance, LiftSettings};
-use scenesplat::scene::UpAxis;
+use scenesplat::scene::Up;
 use std::path::PathBuf;
 
 /// Lifts the segments of pictures onto the Gaussians: writes lang_feat.npy ([N, D], f16, one row per
@@ -98,8 +98,8 @@ pub struct LiftArgs {
     #[arg(long, value_name = "SIZE")]
     pub max_memory: Option<Bytes>,
     /// Which way is up; judged by the scene if not given.
-    #[arg(long, value_name = "AXIS", value_parser = parse_up, allow_hyphen_values = true)]
-    pub up: Option<UpAxis>,
+    #[arg(long, value_name = "AXIS|X,Y,Z", value_parser = parse_up, allow_hyphen_values = true)]
+    pub up: Option<Up>,
     /// The picture.
     #[command(flatten)]
     pub preview: PreviewArgs,

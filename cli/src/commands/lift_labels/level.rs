@@ -58,8 +58,9 @@ impl Args {
         let _stage = session.receipt.stage("picture");
         let name = self.input.name();
         let title = format!("{name}: lifted labels (principal components as colors)");
-        let scene = &opened.loaded.scene;
-        let up = self.lifting.up.unwrap_or_else(|| guess_up(scene).axis);
+        let loaded = &opened.loaded;
+        let (scene, stated) = (&loaded.scene, loaded.stated_up);
+        let up = self.lifting.up.unwrap_or_else(|| guess_up(scene, stated).direction);
         let path = folder.join("preview.png");
         let settings = self.lifting.preview.settings(title, up);
         let bytes = write_scene_preview(scene, &written.colors, &[], &settings, &path)?;

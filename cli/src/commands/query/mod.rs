@@ -45,7 +45,7 @@ pub fn run(args: &Args, line: &str) -> Result<()> {
     let (opened, source) = open(args, &session, &query)?;
     let scene = &opened.loaded.scene;
     let consumer = Consumer { network: source.is_network(), labels: true };
-    let about = session.compensation(&wish, scene, &args.inference, consumer)?;
+    let about = session.compensation(&wish, &opened, &args.inference, consumer)?;
     let features = session.features(&opened, &source, &args.inference, &about)?;
     if source.is_network() && args.inference.network.is_embedded() {
         session.novelty(&features, |_| "what is found is a guess")?;

@@ -36,7 +36,8 @@ pub fn write(
         LegendEntry { name: "everything else".to_owned(), color: OTHERS_COLOR, count: others },
     ];
     let title = format!("\"{}\"{}", args.query, source.remark());
-    session.write_preview(scene, &colors, &entries, title, args.inference.up, args.preview)
+    let up = session.up(opened, &args.inference);
+    session.write_preview(scene, &colors, &entries, title, up, args.preview)
 }
 
 /// Prints how much was found and where.

@@ -5,7 +5,7 @@ use crate::flags::{Shared, SourceArgs, parse_positive, parse_up};
 use clap::ValueEnum;
 use scenesplat::datasets::effects::EffectSet;
 use scenesplat::rasterizer::RasterSettings;
-use scenesplat::scene::UpAxis;
+use scenesplat::scene::Up;
 use std::path::{Path, PathBuf};
 
 /// Draws a scene: one PNG for each camera of a file, or for cameras around the scene. With --depth
@@ -75,8 +75,8 @@ pub struct Args {
     #[arg(long, value_name = "N", default_value_t = 0, requires = "effect")]
     pub seed: u64,
     /// Which way is up for --orbit, --inside and --eye; judged by the scene if not given.
-    #[arg(long, value_name = "AXIS", value_parser = parse_up, allow_hyphen_values = true)]
-    pub up: Option<UpAxis>,
+    #[arg(long, value_name = "AXIS|X,Y,Z", value_parser = parse_up, allow_hyphen_values = true)]
+    pub up: Option<Up>,
     /// How to read the scene.
     #[command(flatten)]
     pub source: SourceArgs,

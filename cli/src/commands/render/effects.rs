@@ -6,7 +6,7 @@ use crate::session::Session;
 use anyhow::Result;
 use scenesplat::datasets::effects::pictures::{DrawnPicture, PictureReport, PictureSimulator};
 use scenesplat::datasets::effects::{Effect, EffectSet, Pane, largest_wall, simulate_upright};
-use scenesplat::scene::{GaussianScene, guess_up};
+use scenesplat::scene::{GaussianScene, StatedUp, guess_up};
 use scenesplat_lab::capture::ScenePictures;
 use serde_json::json;
 
@@ -24,18 +24,16 @@ impl Effects {
     pub(super) fn on(
         session: &Session<'_>,
         args: &Args,
-        scene: GaussianScene,
+        (mut scene, stated_up): (GaussianScene, StatedUp),
         shots: &Shots,
     ) -> Result<(GaussianScene, Self)> {
         let (on_scene, on_pictures) = args.effect.split_for_pictures();
-        let mut scene = scene;
         if !args.effect.is_empty() {
             session.receipt.setting("effect", args.effect, "what the capture does");
             session.receipt.setting("seed", args.seed, "which of the possible damages");
         }
         // Nothing of this runs for what is absent.
         let glass = on_pictures.severity(Effect::Glass);
-        let upright = |scene: &GaussianScene| args.up.unwrap_or_else(|| guess_up(scene).axis);
         if !on_scene.is_empty() {
             let _stage = session.receipt.stage("simulate");
             let found = simulate_upright(&scene, &on_scene, args.seed, args.up)?;
@@ -49,7 +47,8 @@ impl Effects {
         let mut pane = None;
         if glass > 0.0 {
             let _stage = session.receipt.stage("find glass");
-            let wall = largest_wall(&scene.coord, upright(&scene));
+            let up = args.up.unwrap_or_else(|| guess_up(&scene, stated_up).direction);
+            let wall = largest_wall(&scene.coord, up);
             pane = wall.map(|wall| Pane::on(&wall, glass, args.seed));
         }
         let near = near(args, shots).into();

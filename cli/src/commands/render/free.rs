@@ -5,13 +5,13 @@ use super::cameras::{Shot, Shots};
 use crate::error::WrongUse;
 use anyhow::Result;
 use scenesplat::preview::{LookAt, Orbit, SceneRows, inside_views};
-use scenesplat::scene::{Camera, GaussianScene, UpAxis};
+use scenesplat::scene::{Camera, GaussianScene, Up};
 
 /// Size of the pictures around a scene.
 const ORBIT_SIZE: [u32; 2] = [640, 480];
 
 /// The cameras that the flags ask for.
-pub(super) fn of_scene(scene: &GaussianScene, up: UpAxis, args: &Args) -> Result<Shots> {
+pub(super) fn of_scene(scene: &GaussianScene, up: Up, args: &Args) -> Result<Shots> {
     let size = args.size.unwrap_or(ORBIT_SIZE);
     let plain = |cameras: Vec<Camera>| Shots {
         list: numbered(cameras),
@@ -43,7 +43,7 @@ fn numbered(cameras: Vec<Camera>) -> Vec<Shot> {
 }
 
 /// Cameras around a scene.
-fn around(scene: &GaussianScene, up: UpAxis, args: &Args) -> Shots {
+fn around(scene: &GaussianScene, up: Up, args: &Args) -> Shots {
     let count = usize::from(args.orbit.unwrap_or(4));
     let color = vec![[0; 3]; scene.len()];
     let sizes = SceneRows::of(scene);

@@ -22,7 +22,7 @@ use scenesplat::rasterizer::{
     DepthRequest, Gaussians, PlanRequest, Prepared, RasterSettings, RenderPlan, RenderRequest,
     SceneProfile,
 };
-use scenesplat::scene::{GaussianScene, ReadOptions, guess_up};
+use scenesplat::scene::{GaussianScene, LoadedScene, ReadOptions, guess_up};
 use scenesplat_lab::capture::ScenePictures;
 use scenesplat_lab::compensation::render_section;
 
@@ -37,8 +37,8 @@ pub fn run(args: &Args, line: &str) -> Result<()> {
     let read = args.cameras.as_ref().map(|path| cameras::read(path, args)).transpose()?;
     session.outputs.open_folder(&[])?;
     let options = ReadOptions { sh_rest: true, ..args.source.options() };
-    let scene = session.open_with(&args.scene, &options)?.loaded.scene;
-    let up = || args.up.unwrap_or_else(|| guess_up(&scene).axis);
+    let LoadedScene { scene, stated_up, .. } = session.open_with(&args.scene, &options)?.loaded;
+    let up = || args.up.unwrap_or_else(|| guess_up(&scene, stated_up).direction);
     let shots = match read {
         Some(shots) => shots,
         None => free::of_scene(&scene, up(), args)?,
@@ -55,7 +55,7 @@ pub fn run(args: &Args, line: &str) -> Result<()> {
     for note in &shots.notes {
         session.progress.say(note);
     }
-    let (scene, mut effects) = Effects::on(&session, args, scene, &shots)?;
+    let (scene, mut effects) = Effects::on(&session, args, (scene, stated_up), &shots)?;
     let prepared = prepare(&session, args, scene, &shots, effects.needs_depth())?;
     let (lost, empty) = draw(&session, args, &prepared, &shots.list, &mut effects)?;
     if !args.keeps_cameras() {

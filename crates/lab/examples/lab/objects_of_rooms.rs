@@ -9,7 +9,7 @@ use scenesplat::metrics::ZeroShotOptions;
 use scenesplat::objects::{Agreement, ObjectInput, ObjectSettings, UprightBox, find_objects};
 use scenesplat::prelude::*;
 use scenesplat::rooms::{SyntheticRoomSettings, generate};
-use scenesplat::scene::UpAxis;
+use scenesplat::scene::Up;
 
 #[derive(Default)]
 struct Sums {
@@ -70,7 +70,7 @@ pub fn run(mut args: Arguments) -> Result<()> {
                 instances: None,
                 features: with_features.then_some((features.width(), &add as _)),
                 names: &text.names,
-                upright: UpAxis::PlusZ.upright(),
+                upright: Up::PLUS_Z.upright(),
                 metres_per_unit: 1.0,
                 floor: None,
             };

@@ -13,7 +13,7 @@ use scenesplat::rasterizer::{
     SceneProfile,
 };
 use scenesplat::rooms::{SyntheticRoomSettings, generate};
-use scenesplat::scene::{Camera, GaussianScene, UpAxis};
+use scenesplat::scene::{Camera, GaussianScene, Up};
 use scenesplat_lab::capture::{CaptureProbe, ScenePictures};
 
 const EFFECTS: [&str; 3] = ["blur", "light", "noise"];
@@ -34,8 +34,7 @@ pub fn run(mut args: Arguments) -> Result<()> {
         let scene = generate(&settings)?.scene;
         let colors = vec![[0; 3]; scene.len()];
         let rows = SceneRows::of(&scene);
-        let cameras =
-            inside_views(&rows.rows(&scene, &colors), UpAxis::PlusZ, PICTURES, 60.0, SIZE);
+        let cameras = inside_views(&rows.rows(&scene, &colors), Up::PLUS_Z, PICTURES, 60.0, SIZE);
         let truth = prepared(&scene)?;
         // What the detectors know of the scene was not reconstructed perfectly.
         let known = simulate(&scene, &"surface=1,noise=1".parse()?, room)?.scene;

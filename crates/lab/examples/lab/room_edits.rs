@@ -10,7 +10,7 @@ use scenesplat::network::{WeightOptions, Weights, network_of};
 use scenesplat::objects::surfaces::{SurfaceSettings, scene_surfaces};
 use scenesplat::rooms::{CLASSES, SyntheticRoomSettings, generate};
 use scenesplat::scene::edit::{EulerAngles, merge};
-use scenesplat::scene::{GaussianScene, LabelSet, Similarity, UpAxis};
+use scenesplat::scene::{GaussianScene, LabelSet, Similarity, Up};
 use scenesplat::{Alignment, AlignmentSettings, Network, SceneEncoder, embedded};
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -37,9 +37,9 @@ const EDITS: [(&str, Edit); 37] = [
     ("2 % faint 10 cm below", |s| outliers(s, 0.1, 0.08)),
     ("a storey above", |s| storey(s, 2.9)),
     ("a storey below", |s| storey(s, -2.9)),
-    ("upside down", |s| lying(s, UpAxis::MinusZ)),
-    ("y up", |s| lying(s, UpAxis::PlusY)),
-    ("-y up", |s| lying(s, UpAxis::MinusY)),
+    ("upside down", |s| lying(s, Up::MINUS_Z)),
+    ("y up", |s| lying(s, Up::PLUS_Y)),
+    ("-y up", |s| lying(s, Up::MINUS_Y)),
     ("tilt 2", |s| turned(s, [2.0, 0.0, 0.0])),
     ("tilt 5", |s| turned(s, [5.0, 0.0, 0.0])),
     ("tilt 8", |s| turned(s, [5.0, 6.0, 0.0])),
@@ -155,7 +155,7 @@ fn turned(scene: &GaussianScene, degrees: [f64; 3]) -> GaussianScene {
     moved(scene, Similarity { rotation, ..Similarity::IDENTITY })
 }
 
-fn lying(scene: &GaussianScene, up: UpAxis) -> GaussianScene {
+fn lying(scene: &GaussianScene, up: Up) -> GaussianScene {
     let m = up.upright();
     let rotation = [0, 1, 2].map(|i| [0, 1, 2].map(|j| m[j][i]));
     moved(scene, Similarity { rotation, ..Similarity::IDENTITY })

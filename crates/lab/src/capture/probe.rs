@@ -313,7 +313,7 @@ mod tests {
         SceneProfile,
     };
     use scenesplat_rooms::{SyntheticRoomSettings, generate};
-    use scenesplat_scene::{GaussianScene, UpAxis};
+    use scenesplat_scene::{GaussianScene, Up};
 
     fn prepared(scene: &GaussianScene, expected: bool) -> Prepared {
         let gaussians = Gaussians::from_scene(scene).unwrap();
@@ -334,8 +334,7 @@ mod tests {
         let (truth, known) = (prepared(&scene, false), prepared(&known, true));
         let rows = SceneRows::of(&scene);
         let colors = vec![[0; 3]; scene.len()];
-        let cameras =
-            inside_views(&rows.rows(&scene, &colors), UpAxis::PlusZ, 12, 60.0, [320, 240]);
+        let cameras = inside_views(&rows.rows(&scene, &colors), Up::PLUS_Z, 12, 60.0, [320, 240]);
         let report = |effect: &str| {
             let pictures = ScenePictures::new(&truth);
             let mut simulator =
@@ -382,7 +381,7 @@ mod tests {
         let rows = SceneRows::of(&scene);
         let colors = vec![[0; 3]; scene.len()];
         let camera =
-            inside_views(&rows.rows(&scene, &colors), UpAxis::PlusZ, 1, 60.0, [32, 24]).remove(0);
+            inside_views(&rows.rows(&scene, &colors), Up::PLUS_Z, 1, 60.0, [32, 24]).remove(0);
         let photo = RgbPicture::filled(64, 48, [9; 3]);
         let (with, without) = (prepared(&scene, true), prepared(&scene, false));
         let error = CaptureProbe::new(&with).add(&camera, &photo).unwrap_err().to_string();

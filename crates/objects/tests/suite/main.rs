@@ -7,7 +7,7 @@ use scenesplat_objects::{
 };
 use scenesplat_rooms::{CLASSES, SyntheticRoom, SyntheticRoomSettings, generate};
 use scenesplat_scene::frame::Matrix3;
-use scenesplat_scene::{Similarity, UpAxis};
+use scenesplat_scene::{Similarity, Up};
 
 const ROOMS: u64 = 20;
 const SEED: u64 = 2026;
@@ -24,7 +24,7 @@ fn input<'a>(room: &'a SyntheticRoom, names: &'a [String]) -> ObjectInput<'a> {
         instances: None,
         features: None,
         names,
-        upright: UpAxis::PlusZ.upright(),
+        upright: Up::PLUS_Z.upright(),
         metres_per_unit: 1.0,
         floor: None,
     }
@@ -130,7 +130,7 @@ fn places_are_in_the_frame_and_unit_of_the_scene() {
     let ln = 100f32.ln();
     lying.scene.log_scale.iter_mut().for_each(|s| *s = s.map(|v| v + ln));
     let input = ObjectInput {
-        upright: UpAxis::MinusY.upright(),
+        upright: Up::MINUS_Y.upright(),
         metres_per_unit: 0.01,
         ..input(&lying, &names)
     };

@@ -8,6 +8,7 @@ use crate::bounds::{Bounds, robust_bounds};
 use crate::formats::unit_f64;
 use crate::frame::Matrix3;
 use crate::quaternion::axes_by_size;
+use crate::up::shortest_to_z;
 use crate::vector::rotation;
 use crate::{GaussianScene, Similarity};
 use glam::DVec3;
@@ -105,7 +106,7 @@ pub fn level(scene: &GaussianScene) -> Leveling {
         return found;
     }
     found.tilt = up.z.clamp(-1.0, 1.0).acos().to_degrees();
-    found.rotation = turn_to_z(up);
+    found.rotation = shortest_to_z(up.to_array());
     found.floor = floor_height(&facing, up, SLAB * bounds.largest_extent());
     found
 }
@@ -150,13 +151,6 @@ fn mean_normal(flats: &[Flat], up: DVec3, cone: f64) -> Option<DVec3> {
     }
     let length = sum.length();
     (length > 0.0).then(|| sum / length)
-}
-
-/// The smallest rotation that takes a unit vector with z > 0 to +z.
-fn turn_to_z(up: DVec3) -> Matrix3 {
-    let [x, y, z] = up.to_array();
-    let f = 1.0 / (1.0 + z);
-    [[1.0 - f * x * x, -f * x * y, -x], [-f * x * y, 1.0 - f * y * y, -y], [x, y, z]]
 }
 
 /// Height of the floor along `up`.

@@ -15,8 +15,8 @@ pub use sample::SampleSize;
 pub use turn::{EulerAngles, FrameChange, Offset};
 pub use walls::Walls;
 
-use crate::up::{UpGuess, guess_up};
-use crate::{GaussianScene, SceneError, Similarity, UpAxis};
+use crate::up::{StatedUp, Up, UpGuess, guess_up};
+use crate::{GaussianScene, SceneError, Similarity};
 use rayon::prelude::*;
 use serde::Serialize;
 
@@ -37,6 +37,8 @@ pub struct SceneEdit {
     pub frame: Option<FrameChange>,
     /// Turns the scene so that this direction becomes +z.
     pub up: Option<UpSource>,
+    /// What the file states about up, for what is guessed.
+    pub stated_up: StatedUp,
     /// Turns the scene so that its floor lies level at z = 0; up is `up`, or else guessed.
     pub level: bool,
     /// Turns about the axes, after all other turns.
@@ -48,12 +50,12 @@ pub struct SceneEdit {
 }
 
 /// Which direction of a scene is up.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[derive(Debug, Clone, Copy, PartialEq)]
 pub enum UpSource {
     /// The one that the scene speaks for, by [`guess_up`].
     Auto,
     /// This one.
-    Given(UpAxis),
+    Given(Up),
 }
 
 /// What an edit did to a scene.
@@ -139,10 +141,14 @@ impl SceneEdit {
         let up = match (self.up, self.level) {
             (None, false) => return,
             (Some(UpSource::Given(axis)), _) => UpGuess::given(axis),
-            (Some(UpSource::Auto), _) | (None, true) => guess_up(scene),
+            (Some(UpSource::Auto), _) | (None, true) => guess_up(scene, self.stated_up),
         };
-        if up.axis != UpAxis::PlusZ {
-            scene.transform(&Similarity { rotation: up.axis.upright(), ..Similarity::IDENTITY });
+        // Harmonics turn with rounding, so not for nothing.
+        if up.direction != Up::PLUS_Z {
+            scene.transform(&Similarity {
+                rotation: up.direction.upright(),
+                ..Similarity::IDENTITY
+            });
         }
         report.up = Some(up);
         if self.level {

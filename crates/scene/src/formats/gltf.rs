@@ -27,7 +27,6 @@ mod document;
 mod nodes;
 mod placement;
 mod primitives;
-mod singular;
 mod spz_parts;
 mod writer;
 

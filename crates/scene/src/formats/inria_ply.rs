@@ -10,7 +10,7 @@ use super::ply::{
 use super::{LoadedScene, ReadOptions, SceneFormat, WriteOptions, WriteProgress, WriteReport};
 use crate::gaussian_scene::{SH_C0, u8_to_dc};
 use crate::value_policy::{DEFAULT_GREY, DEFAULT_SCALE, FLAT_SCALE, Rule};
-use crate::{AtomicFile, GaussianScene, RepairReport, SceneError};
+use crate::{AtomicFile, GaussianScene, RepairReport, SceneError, StatedUp, Up};
 use std::path::Path;
 
 const VERTEX: &str = "vertex";
@@ -88,7 +88,20 @@ pub fn read_inria_ply(file: &PlyFile, options: &ReadOptions) -> Result<LoadedSce
     scene.segment = read_segment(file, vertex, options.segment.as_deref(), &mut reader.report)?;
     scene.instance = read_instance(file, vertex, &mut reader.report)?;
     scene.lang_code = read_language_code(file, vertex, &mut reader.report)?;
-    LoadedScene::finish(scene, reader.report, options.policy, file.path(), SceneFormat::Ply)
+    let loaded =
+        LoadedScene::finish(scene, reader.report, options.policy, file.path(), SceneFormat::Ply)?;
+    let stated_up = stated_up(file.comments()).unwrap_or(loaded.stated_up);
+    Ok(LoadedScene { stated_up, ..loaded })
+}
+
+/// The vertical axis that Nerfstudio's exporter writes as a comment.
+fn stated_up(mut comments: impl Iterator<Item = String>) -> Option<StatedUp> {
+    let axis = comments.find_map(|text| {
+        let (name, axis) = text.split_once(':')?;
+        let is_axis = name.trim().eq_ignore_ascii_case("vertical axis");
+        is_axis.then(|| axis.trim().to_ascii_lowercase().parse::<Up>().ok())?
+    });
+    axis.map(|direction| StatedUp { direction, source: "the file's comment" })
 }
 
 struct Reader<'a> {

@@ -36,7 +36,7 @@ pub use table::{FORMATS, FormatRow, SceneFormat};
 pub use write::{PrecisionLimit, WriteOptions, WriteProgress, WriteReport, write_scene};
 
 use crate::value_policy::clean_scene;
-use crate::{GaussianScene, Policy, RepairReport, SceneError};
+use crate::{GaussianScene, Policy, RepairReport, SceneError, StatedUp};
 use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
 
@@ -96,6 +96,8 @@ pub struct LoadedScene {
     pub path: PathBuf,
     /// What it is.
     pub kind: SceneFormat,
+    /// What the file, or the convention of its format, says about up.
+    pub stated_up: StatedUp,
 }
 
 impl LoadedScene {
@@ -108,7 +110,8 @@ impl LoadedScene {
         kind: SceneFormat,
     ) -> Result<Self, SceneError> {
         let (scene, kept_rows) = clean_scene(scene, &mut report, policy, path)?;
-        Ok(Self { scene, report, kept_rows, path: path.to_owned(), kind })
+        let stated_up = kind.stated_up();
+        Ok(Self { scene, report, kept_rows, path: path.to_owned(), kind, stated_up })
     }
 
     /// Number of rows in the source, those left out included.

@@ -8,7 +8,7 @@ use super::write::{WriteOptions, WriteProgress, WriteReport};
 use super::{
     LoadedScene, ReadOptions, compressed_ply, gltf, inria_ply, ksplat, npy_folder, sog, splat, spz,
 };
-use crate::{AtomicFile, Frame, GaussianScene, SceneError};
+use crate::{AtomicFile, Frame, GaussianScene, SceneError, StatedUp, Up};
 use serde::Serialize;
 use std::path::Path;
 
@@ -38,6 +38,21 @@ pub enum SceneFormat {
     Splat,
     /// Folder of `.npy` files.
     NpyFolder,
+}
+
+impl SceneFormat {
+    /// What the format prescribes about up, in the frame of scenes in memory: SPZ and glTF have +y up
+    /// in their own, trainers leave scenes as image-based pipelines have them, with y down, and rooms of
+    /// the `.npy` data sets stand on their floor.
+    pub fn stated_up(self) -> StatedUp {
+        let (direction, source) = match self {
+            Self::Spz => (Up::MINUS_Y, "SPZ"),
+            Self::Glb | Self::Gltf => (Up::MINUS_Y, "glTF"),
+            Self::NpyFolder => (Up::PLUS_Z, "the habit of .npy data sets"),
+            _ => (Up::MINUS_Y, "the convention of trainers"),
+        };
+        StatedUp { direction, source }
+    }
 }
 
 /// Whether bytes are a file of this kind.

@@ -7,8 +7,7 @@ use scenesplat_scene::edit::{
     CropBox, EulerAngles, Offset, SampleSize, SceneEdit, UpSource, merge,
 };
 use scenesplat_scene::{
-    GaussianScene, LabelledPoints, LanguageCode, LanguageCodebook, LanguageFeatures, Similarity,
-    UpAxis,
+    GaussianScene, LabelledPoints, LanguageCode, LanguageCodebook, LanguageFeatures, Similarity, Up,
 };
 
 /// A scene with every array.
@@ -109,19 +108,18 @@ fn a_move_leaves_everything_but_positions() {
 #[test]
 fn the_given_direction_becomes_up() {
     let before = full(10, 1, 3);
-    for up in UpAxis::ALL {
+    for up in Up::AXES {
         let edit = SceneEdit { up: Some(UpSource::Given(up)), ..SceneEdit::default() };
         let (after, report) = edit.apply(before.clone()).unwrap();
-        let (axis, is_positive) = up.axis();
-        let sign = if is_positive { 1.0 } else { -1.0 };
+        let along = |p: &[f32; 3]| (0..3).map(|a| up.vector()[a] as f32 * p[a]).sum::<f32>();
         for (new, old) in after.coord.iter().zip(&before.coord) {
-            assert_eq!(new[2], sign * old[axis], "{up}");
+            assert_eq!(new[2], along(old), "{up}");
         }
         let found = report.up.unwrap();
-        assert!(found.given && found.axis == up && report.level.is_none());
+        assert!(found.given && found.direction == up && report.level.is_none());
     }
     // A direction that is up already changes no bit.
-    let edit = SceneEdit { up: Some(UpSource::Given(UpAxis::PlusZ)), ..SceneEdit::default() };
+    let edit = SceneEdit { up: Some(UpSource::Given(Up::PLUS_Z)), ..SceneEdit::default() };
     assert_eq!(edit.apply(before.clone()).unwrap().0, before);
 }
 

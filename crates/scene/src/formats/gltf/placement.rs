@@ -1,10 +1,10 @@
 //! Moving Gaussians by any invertible matrix.
 
 use super::nodes::Affine;
-use super::singular::singular_values;
 use crate::formats::unit_f64;
 use crate::frame::{Matrix3, determinant, product, transposed};
 use crate::similarity::matrix_to_quat;
+use crate::singular_values::singular_values;
 use crate::spherical_harmonics::ShRotation;
 use crate::vector::rotation;
 use crate::{GaussianScene, Similarity};

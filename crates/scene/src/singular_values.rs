@@ -14,7 +14,7 @@ const ORTHOGONAL: f64 = 1e-15;
 /// Pairs of columns are turned until all are at right angles (the method of Jacobi, one-sided).
 /// Small singular values keep their digits when columns of `m` differ by many orders of magnitude,
 /// which an eigendecomposition of `mᵀm` would lose. Deterministic; equal values keep their order.
-pub(super) fn singular_values(m: &Matrix3) -> (Matrix3, [f64; 3], Matrix3) {
+pub(crate) fn singular_values(m: &Matrix3) -> (Matrix3, [f64; 3], Matrix3) {
     // Columns as rows, for easier handling.
     let mut columns = transposed(m);
     let mut v = [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]];

@@ -1,0 +1,198 @@
+//! Which way is up: the one answer for pictures, networks and reports.
+//!
+//! Few files say it, so the scene is asked. Directions that much surface faces may be up, and those at
+//! right angles to two of them; each is weighed, and its opposite, by what a floor leaves behind: a slab
+//! that covers the ground plan, most rows low, flat Gaussians that lie level. The best is sharpened by a
+//! plane through its fullest level surface. All of it happens in the frame of the direction, so that a
+//! scene may lie in any pose. Where the best hardly leads, what the file or its format says decides.
+
+mod direction;
+mod evidence;
+mod peaks;
+mod plane;
+mod surface;
+
+pub use direction::Up;
+pub(crate) use direction::shortest_to_z;
+pub use evidence::UpEvidence;
+
+use crate::GaussianScene;
+use crate::frame::{Matrix3, product};
+use glam::DVec3;
+use peaks::{Peak, peaks};
+use serde::Serialize;
+use surface::Surface;
+
+/// Within so many degrees a direction is that of an axis: capture and fit are not exacter.
+const EXACT: f64 = 0.1;
+
+/// A camera is seldom pitched by more degrees when a capture begins, so that up is within them of what
+/// its format calls up.
+const PITCH: f64 = 50.0;
+
+/// Directions less than so many degrees apart are one candidate.
+const APART: f64 = 20.0;
+
+/// What is at right angles to two peaks is a candidate if these are so, within so many degrees.
+const SQUARE: f64 = 10.0;
+
+/// What it is worth that the file states a direction.
+const STATED_WEIGHT: f64 = 0.1;
+
+/// The direction that seems to be up.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct UpGuess {
+    /// The direction.
+    #[serde(rename = "axis")]
+    pub direction: Up,
+    /// How sure, 0..=1: how far its score leads. Below [`UpGuess::SURE`] it is no more than what the
+    /// file states.
+    pub confidence: f64,
+    /// Whether the user said so; then the confidence is 1.
+    pub given: bool,
+    /// What speaks for it.
+    pub evidence: String,
+    /// All directions that were weighed, the best first; empty if given.
+    pub candidates: Vec<UpEvidence>,
+}
+
+/// What a file, or the convention of its format, says about up.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+pub struct StatedUp {
+    /// The direction.
+    #[serde(rename = "axis")]
+    pub direction: Up,
+    /// Who says so, for messages: `glTF`.
+    pub source: &'static str,
+}
+
+/// Which way is up in a scene; where the scene itself leaves it open, what its file states decides.
+///
+/// The same for any number of threads. Without rows or extent the confidence is 0.
+pub fn guess_up(scene: &GaussianScene, stated: StatedUp) -> UpGuess {
+    let surface = Surface::of(scene);
+    let peaks = peaks(&surface);
+    let mut candidates: Vec<UpEvidence> = directions(&surface, &peaks, stated.direction)
+        .into_iter()
+        .flat_map(|up| evidence::weigh_both(&surface, up, &frame(up, &peaks)))
+        .collect();
+    let is_near = |up: Up| up.degrees_from(stated.direction) <= PITCH;
+    for candidate in &mut candidates {
+        candidate.score += if is_near(candidate.direction) { STATED_WEIGHT } else { 0.0 };
+    }
+    // Stable: of equals the first wins, whatever the threads.
+    candidates.sort_by(|a, b| b.score.total_cmp(&a.score));
+    let best = candidates[0];
+    let second = candidates[1];
+    let confidence = (best.score - second.score).clamp(0.0, 1.0);
+    let mut evidence = text(&best, second.direction);
+    let mut direction = best.direction;
+    if confidence < UpGuess::SURE {
+        let likely = candidates.iter().map(|c| c.direction).find(|up| is_near(*up));
+        direction = likely.unwrap_or(stated.direction);
+        evidence = format!("{evidence}; that is close, so {} decides", stated.source);
+    }
+    UpGuess { direction, confidence, given: false, evidence, candidates }
+}
+
+impl StatedUp {
+    /// Of scenes in memory, about which no file says anything: as networks know rooms.
+    pub const UPRIGHT: Self = Self { direction: Up::PLUS_Z, source: "the convention of networks" };
+}
+
+impl Default for StatedUp {
+    fn default() -> Self {
+        Self::UPRIGHT
+    }
+}
+
+impl UpGuess {
+    /// From this confidence on the scene itself decides. The least that ten furnished rooms have,
+    /// however they lie, is 0.29.
+    pub const SURE: f64 = 0.25;
+
+    /// Whether the scene itself says so, or the user.
+    pub fn is_sure(&self) -> bool {
+        self.confidence >= Self::SURE
+    }
+
+    /// The direction that the user names.
+    pub fn given(direction: Up) -> Self {
+        Self {
+            direction,
+            confidence: 1.0,
+            given: true,
+            evidence: "as given".to_owned(),
+            candidates: Vec::new(),
+        }
+    }
+}
+
+fn text(best: &UpEvidence, second: Up) -> String {
+    let percent = |share: f64| format!("{:.0} %", 100.0 * share);
+    format!(
+        "the lowest slab covers {} of the ground plan, {} of the rows lie in the lower half, {} of the \
+         surface is level, {} of what is slanted is plumb; next best is {second}",
+        percent(best.floor_cover),
+        percent(best.below),
+        percent(best.level),
+        percent(best.plumb),
+    )
+}
+
+/// Directions of which one, or its opposite, may be up.
+fn directions(surface: &Surface, peaks: &[Peak], stated: Up) -> Vec<Up> {
+    let mut found: Vec<DVec3> = Vec::new();
+    let is_new = |found: &[DVec3], direction: DVec3| {
+        let apart = APART.to_radians().cos();
+        found.iter().all(|f| f.dot(direction).abs() <= apart)
+    };
+    for peak in peaks {
+        found.push(plane::fullest_plane(surface, peak.normal).unwrap_or(peak.normal));
+    }
+    // The floor may be hidden under furniture, or not captured.
+    for (i, a) in peaks.iter().enumerate() {
+        for b in &peaks[..i] {
+            let across = a.normal.cross(b.normal);
+            if across.length() >= SQUARE.to_radians().cos() && is_new(&found, across.normalize()) {
+                found.push(across.normalize());
+            }
+        }
+    }
+    // What has no surface to speak for it.
+    let has_frame = found.len() >= 3;
+    let axes = [stated, Up::PLUS_X, Up::PLUS_Y, Up::PLUS_Z];
+    for axis in axes.into_iter().take(if has_frame { 1 } else { 4 }) {
+        let axis = DVec3::from(axis.vector());
+        if is_new(&found, axis) {
+            found.push(axis);
+        }
+    }
+    found.into_iter().filter_map(|v| Up::new(v.to_array())).map(exact).collect()
+}
+
+/// The axis, if the direction is that of one.
+fn exact(up: Up) -> Up {
+    let near = Up::AXES.into_iter().find(|axis| axis.degrees_from(up) <= EXACT);
+    near.unwrap_or(up)
+}
+
+/// A frame whose third axis is a direction: that of the walls if there are any, else that of its turn
+/// upright.
+fn frame(up: Up, peaks: &[Peak]) -> Matrix3 {
+    let upright = up.upright();
+    let z = DVec3::from(up.vector());
+    let most_level = SQUARE.to_radians().sin();
+    let wall = peaks.iter().find(|p| p.normal.dot(z).abs() <= most_level);
+    let Some(wall) = wall else { return upright };
+    let x = (wall.normal - z * wall.normal.dot(z)).normalize();
+    // Next to the turn upright, so that axes keep their order.
+    let [first, second, _] = upright.map(DVec3::from);
+    let angle = f64::atan2(x.dot(second), x.dot(first));
+    let quarter = std::f64::consts::FRAC_PI_2;
+    let (s, c) = (angle - quarter * (angle / quarter).round()).sin_cos();
+    product(&[[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]], &upright)
+}
+
+#[cfg(test)]
+mod tests;
