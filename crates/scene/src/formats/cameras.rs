@@ -59,13 +59,11 @@ pub struct CameraSet {
 }
 
 impl CameraSet {
-    /// What to subtract from the world of cameras that are far from 0, so that f32 holds it: judged
-    /// by the points, else by the places of the cameras. Zero for cameras near 0.
+    /// What to subtract from the world of the cameras so that f32 holds their points: zero for points
+    /// near 0, and without points. Where cameras stand says too little of how large a scene is.
     pub fn far_origin(&self) -> [f64; 3] {
-        match self.points.as_ref().filter(|points| !points.coord.is_empty()) {
-            Some(points) => origin_of(sample_rows(points.coord.len()).map(|i| points.coord[i])),
-            None => origin_of(self.cameras.iter().map(Camera::centre)),
-        }
+        let points = self.points.as_ref().map_or(&[][..], |points| &points.coord);
+        origin_of(sample_rows(points.len()).map(|row| points[row]))
     }
 
     /// Cameras and points in a world from whose positions `origin` is subtracted.
