@@ -158,7 +158,7 @@ mod tests {
         assert_eq!(far, [431_000.0, -5_411_000.0, 230.0]);
         assert_eq!(origin(rows([1e9, 0.0, 0.0], 10.0, 1000)), [1e9, 0.0, 0.0]);
         // Half a centimeter, a meter away: whole units would be too coarse an origin.
-        assert_eq!(origin(rows([1.2345, 0.0, 0.0], 0.005, 1000)), [1.234, 0.0, 0.0]);
+        assert_eq!(origin(rows([1.2342, 0.0, 0.0], 0.005, 1000)), [1.234, 0.0, 0.0]);
     }
 
     #[test]
