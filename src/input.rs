@@ -7,7 +7,7 @@ use scenesplat_scene::formats::labelled_ply::{LABEL_NAMES, read_labelled_ply};
 use scenesplat_scene::formats::npy::NpyFile;
 use scenesplat_scene::formats::ply::{PlyFile, is_ply};
 use scenesplat_scene::{
-    LanguageFeatures, LoadedScene, ReadOptions, SceneError, SceneFormat, open_scene,
+    GaussianScene, LanguageFeatures, LoadedScene, ReadOptions, SceneError, SceneFormat, open_scene,
 };
 use std::ffi::OsStr;
 use std::io::Read;
@@ -81,8 +81,9 @@ pub fn open_input(
         converted.num_estimated_normals,
         converted.num_balls
     );
+    let scene = GaussianScene { origin: cloud.origin, ..converted.scene };
     let loaded = LoadedScene {
-        scene: converted.scene,
+        scene,
         report,
         kept_rows: cloud.kept_rows,
         path: path.to_owned(),

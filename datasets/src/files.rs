@@ -38,14 +38,18 @@ pub(crate) fn arrays(folder: &Path) -> Result<Vec<String>, SceneError> {
     Ok(names.filter_map(|name| Some(name.strip_suffix(".npy")?.to_owned())).collect())
 }
 
-/// An array of positions. `[M, 3]`
-pub(crate) fn positions(path: &Path) -> Result<Vec<[f32; 3]>, DataError> {
+/// An array of positions, relative to the origin of their scene. `[M, 3]`
+pub(crate) fn positions(path: &Path, origin: [f64; 3]) -> Result<Vec<[f32; 3]>, DataError> {
     let file = NpyFile::open(path)?;
     if !matches!(file.shape(), [_, 3]) {
         let problem = format!("expected shape (M, 3), got {:?}", file.shape());
         return Err(bad_file(path, problem, "remove the file or save positions"));
     }
-    Ok(file.read_f32()?.as_chunks::<3>().0.to_vec())
+    if origin == [0.0; 3] {
+        return Ok(file.read_f32()?.as_chunks::<3>().0.to_vec());
+    }
+    let relative = |p: &[f64; 3]| [0, 1, 2].map(|i| (p[i] - origin[i]) as f32);
+    Ok(file.read_f64()?.as_chunks::<3>().0.iter().map(relative).collect())
 }
 
 /// Rows of `width` values in the given order.

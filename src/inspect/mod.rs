@@ -71,6 +71,10 @@ pub struct Inspection {
     pub usable: usize,
     /// Rows left out.
     pub dropped: usize,
+    /// What was subtracted from all positions on reading; the boxes and examples of findings are
+    /// relative to it. `None` near 0.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub origin: Option<[f64; 3]>,
     /// Box around everything, meters.
     pub bounds: Bounds,
     /// Box around the scene without what is stray, meters.
@@ -162,6 +166,7 @@ pub fn inspect(loaded: &LoadedScene, settings: &InspectSettings) -> Inspection {
         gaussians: loaded.source_rows(),
         usable: scene.len(),
         dropped: loaded.report.dropped_rows,
+        origin: scene.has_origin().then_some(scene.origin),
         bounds,
         robust_bounds: robust,
         extent: robust.extent(),

@@ -31,6 +31,7 @@ impl Inspection {
             ("extent", Some(format!("{} m", sides(self.extent)))),
             ("all of it", of_all.map(|extent| format!("{} m", sides(extent)))),
             ("centre", Some(centre)),
+            ("relative to", self.origin.map(|[x, y, z]| format!("{x}, {y}, {z}"))),
             ("unit", self.unit.as_ref().map(unit)),
             ("up", Some(format!("{}, {how}", up.direction))),
             ("spacing", self.spacing.map(|s| format!("{} m to the 4th neighbour", short(s)))),

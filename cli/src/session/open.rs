@@ -58,6 +58,8 @@ impl Session<'_> {
         let opened = self.read(path, options)?;
         if !opened.loaded.report.is_clean() {
             self.warn(opened.loaded.report.to_string());
+        } else if opened.loaded.scene.has_origin() {
+            self.progress.say(opened.loaded.report.to_string());
         }
         self.receipt.add_rows_in(opened.loaded.source_rows());
         self.receipt.fingerprint("input", path)?;

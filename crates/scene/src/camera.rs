@@ -203,6 +203,16 @@ impl Camera {
         Some(Self { rotation, translation, ..self.clone() })
     }
 
+    /// The same camera in a world from whose positions `origin` is subtracted: that of the
+    /// coordinates of a scene with this [`origin`](crate::GaussianScene::origin), for cameras of the
+    /// same capture. Computed in f64.
+    pub fn relative_to(&self, origin: [f64; 3]) -> Self {
+        if origin == [0.0; 3] {
+            return self.clone();
+        }
+        Self { translation: self.to_camera(origin), ..self.clone() }
+    }
+
     /// Checks that everything is finite, that sizes and focal lengths are above 0 and that the
     /// rotation is one, within 1e-3; and makes it orthonormal to the last digits.
     ///

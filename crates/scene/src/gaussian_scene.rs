@@ -18,10 +18,10 @@ pub struct LanguageFeatures {
 
 /// Labeled points of the original capture, which benchmarks evaluate on instead of Gaussians.
 ///
-/// Same frame as the Gaussians; the number of points is independent of the number of Gaussians.
+/// Same frame and [`origin`](GaussianScene::origin) as the Gaussians; the number of points is independent of the number of Gaussians.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct LabelledPoints {
-    /// Positions, meters. `[M, 3]`
+    /// Positions relative to the scene's origin, meters. `[M, 3]`
     pub coord: Vec<[f32; 3]>,
     /// Class index, `-1` = no label. `[M]`
     pub segment: Option<Vec<i32>>,
@@ -46,6 +46,8 @@ impl LabelledPoints {
 ///   y down, z forward ([`Frame::CANONICAL`](crate::frame::Frame)); readers of formats that
 ///   prescribe another frame (SPZ, glTF) convert, others leave the axes alone; which way is up is
 ///   in none of these files, the trainer's choice decides;
+/// - a scene far from 0, of a file that holds its positions as doubles, keeps them relative to an
+///   `origin`; all that looks at one scene alone may leave that out of account;
 /// - scale is the natural logarithm of the standard deviation along each principal axis;
 /// - `quat` is `w, x, y, z`, unit norm, `w ≥ 0`; the columns of its matrix are the principal axes;
 /// - opacity is a logit: `alpha = 1 / (1 + e^-logit)`; `±inf` are legal (alpha 0 or 1);
@@ -56,7 +58,10 @@ impl LabelledPoints {
 /// and written again is unchanged.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct GaussianScene {
-    /// Centers, meters. `[N, 3]`
+    /// What was subtracted from all positions on reading, in units of the scene; zero for scenes near
+    /// 0. A center is at `coord + origin` in the coordinates of the file.
+    pub origin: [f64; 3],
+    /// Centers relative to `origin`, meters. `[N, 3]`
     pub coord: Vec<[f32; 3]>,
     /// Natural logarithm of the standard deviations in meters. `[N, 3]`
     pub log_scale: Vec<[f32; 3]>,
@@ -219,6 +224,7 @@ impl GaussianScene {
             out
         }
         Ok(Self {
+            origin: self.origin,
             coord: pick(&self.coord, rows),
             log_scale: pick(&self.log_scale, rows),
             quat: pick(&self.quat, rows),
@@ -321,6 +327,7 @@ mod tests {
         let codebook = LanguageCodebook { mean: vec![1.0], axes: vec![1.0, 2.0] };
         let half = |count: usize| (0..count).map(|i| f16::from_f32(i as f32)).collect::<Vec<_>>();
         let scene = GaussianScene {
+            origin: [1e6, 0.0, -7.0],
             coord: (0..n).map(|i| [i as f32; 3]).collect(),
             log_scale: (0..n).map(|i| [i as f32 + 10.0; 3]).collect(),
             quat: (0..n).map(|i| [i as f32, 1.0, 2.0, 3.0]).collect(),

@@ -24,6 +24,7 @@ pub mod label_set;
 pub mod language_code;
 pub mod linear_light;
 pub mod picture;
+mod place;
 pub mod printable;
 pub mod quantile;
 pub mod quaternion;

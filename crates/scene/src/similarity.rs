@@ -2,6 +2,7 @@
 
 use crate::GaussianScene;
 use crate::frame::{Frame, Matrix3, determinant, matrix};
+use crate::place::{NO_ORIGIN, origin_of};
 use crate::spherical_harmonics::ShRotation;
 use glam::DVec3;
 use rayon::prelude::*;
@@ -30,6 +31,12 @@ impl Similarity {
         Self { rotation: from.matrix_to(to), scale: 1.0, translation: [0.0; 3] }
     }
 
+    /// Where a point comes to lie.
+    pub(crate) fn apply(&self, p: [f64; 3]) -> [f64; 3] {
+        let turned = matrix(&self.rotation) * DVec3::from(p);
+        (self.scale * turned + DVec3::from(self.translation)).to_array()
+    }
+
     /// Whether only signs of axes change.
     fn axis_signs(&self) -> Option<[f32; 3]> {
         let m = &self.rotation;
@@ -44,14 +51,14 @@ impl GaussianScene {
     ///
     /// Where only signs of axes change, every number keeps its magnitude bit for bit: the scene can
     /// be taken there and back without loss. Rows with NaN stay NaN.
+    ///
+    /// The similarity is one of the coordinates of the file, so the origin is transformed too, and
+    /// takes up the translation. It becomes zero where the scene is near 0 afterwards. A scene
+    /// without an origin gets none.
     pub fn transform(&mut self, by: &Similarity) {
-        let (turn, shift) = (matrix(&by.rotation), DVec3::from(by.translation));
+        let turn = matrix(&by.rotation);
         let turned = |v: &[f32; 3]| turn * DVec3::from(v.map(f64::from));
-        let point = |p: &mut [f32; 3]| *p = (by.scale * turned(p) + shift).as_vec3().to_array();
-        self.coord.par_iter_mut().for_each(point);
-        if let Some(points) = &mut self.labelled_points {
-            points.coord.par_iter_mut().for_each(point);
-        }
+        self.transform_positions(by);
         if let Some(normal) = &mut self.normal {
             normal.par_iter_mut().for_each(|n| *n = turned(n).as_vec3().to_array());
         }
@@ -79,6 +86,19 @@ impl GaussianScene {
             let rotate = ShRotation::new(&by.rotation);
             self.sh_rest.par_chunks_exact_mut(width).for_each(|rest| rotate.apply(rest));
         }
+    }
+
+    fn transform_positions(&mut self, by: &Similarity) {
+        if !self.has_origin() {
+            self.map_positions(NO_ORIGIN, |p| by.apply(p.map(f64::from)));
+            return;
+        }
+        let origin = by.apply(self.origin);
+        let is_near = origin_of(self.sample_positions().map(|p| by.apply(p))) == NO_ORIGIN;
+        let translation = if is_near { origin } else { NO_ORIGIN };
+        let about = Similarity { translation, ..*by };
+        self.map_positions(NO_ORIGIN, |p| about.apply(p.map(f64::from)));
+        self.origin = if is_near { NO_ORIGIN } else { origin };
     }
 
     /// Moves the scene from one frame to another.

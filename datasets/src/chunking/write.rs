@@ -177,7 +177,8 @@ fn copy_folder(
     let rows: Vec<Vec<u32>> =
         todo.iter().map(|staged| staged.chunk.rows.iter().map(source_row).collect()).collect();
     let points = source.join("pc_coord.npy");
-    let points = points.is_file().then(|| positions(&points)).transpose()?;
+    let origin = loaded.scene.origin;
+    let points = points.is_file().then(|| positions(&points, origin)).transpose()?;
     let point_rows: Vec<Vec<u32>> = match &points {
         Some(coord) => {
             todo.iter().map(|s| rows_inside(coord, plan.corner, s.chunk, settings)).collect()

@@ -44,8 +44,8 @@ pub fn transfer_to_chunks(
     chunk: &Path,
     settings: &ChunkTransfer,
 ) -> Result<ChunkTransferReport, DataError> {
-    let coord = positions(&scene.join("pc_coord.npy"))?;
-    let gaussians = positions(&chunk.join("coord.npy"))?;
+    let coord = positions(&scene.join("pc_coord.npy"), [0.0; 3])?;
+    let gaussians = positions(&chunk.join("coord.npy"), [0.0; 3])?;
     let tree = tree(&coord)?;
     let limit = settings.max_distance * settings.max_distance;
     let near: Vec<Vec<u32>> = tree.map_nearest(

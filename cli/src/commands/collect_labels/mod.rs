@@ -30,7 +30,7 @@ pub fn run(args: &Args, line: &str) -> Result<()> {
     if let SegmentsArg::Folder(folder) = &args.segments {
         session.outputs.reads(folder)?;
     }
-    let photos = match args.render {
+    let mut photos = match args.render {
         None => frames::of_photos(&session, args)?,
         Some(_) => Vec::new(),
     };
@@ -39,6 +39,8 @@ pub fn run(args: &Args, line: &str) -> Result<()> {
     if let Some(cameras) = args.cameras.as_ref().filter(|path| path.is_file()) {
         session.receipt.fingerprint("cameras", cameras)?;
     }
+    let origin = opened.loaded.scene.origin;
+    photos.iter_mut().for_each(|frame| frame.camera = frame.camera.relative_to(origin));
     let gaussians = Gaussians::from_scene(&opened.loaded.scene)?;
     args.record(&session, &sources);
     let frames = match (args.render, args.max_frames) {

@@ -19,7 +19,9 @@ impl Args {
     pub(super) fn measure(&self, session: &Session<'_>, judged: &Judged) -> Result<()> {
         let Some(path) = &self.scene else { return Ok(()) };
         let options = ReadOptions { sh_rest: true, ..self.source.options() };
-        let opened = session.open_with(path, &options)?;
+        let mut opened = session.open_with(path, &options)?;
+        // The frames are in the coordinates of the cameras' file.
+        opened.loaded.scene.move_origin([0.0; 3]);
         let _stage = session.receipt.stage("score");
         let scene = &opened.loaded.scene;
         let model = Model::from_scene(scene, scene.sh_degree)?;

@@ -40,6 +40,8 @@ pub fn run(args: &Args, line: &str) -> Result<()> {
     let opened = args.open(&session)?;
     let gaussians = Gaussians::from_scene(&opened.loaded.scene)?;
     args.record(&session)?;
+    let origin = opened.loaded.scene.origin;
+    let cameras = cameras.iter().map(|camera| camera.relative_to(origin)).collect();
     let labels = PictureLabels { cameras, folder, matches };
     args.lift_onto(&session, &opened, &gaussians, &labels, before.as_ref())?;
     session.finish()

@@ -16,6 +16,8 @@ pub(super) struct Frames {
     pub(super) train: Vec<TrainingFrame>,
     pub(super) test: Vec<TrainingFrame>,
     points: Option<SparsePoints>,
+    /// What was subtracted from the world of the cameras; all of the above is relative to it.
+    pub(super) origin: [f64; 3],
 }
 
 impl Args {
@@ -23,6 +25,8 @@ impl Args {
     pub(super) fn frames(&self, session: &Session<'_>) -> Result<Frames> {
         let _stage = session.receipt.stage("frames");
         let set = open_cameras(&self.cameras)?;
+        let origin = set.far_origin();
+        let set = set.relative_to(origin);
         let folder = CaptureFolder {
             images: &self.images,
             depth: self.depth.as_deref(),
@@ -59,7 +63,7 @@ impl Args {
         let text = format!("{} frames to learn from, {} to test with", train.len(), test.len());
         session.progress.say(&text);
         session.receipt.setting("frames", train.len(), &text);
-        Ok(Frames { train, test, points: set.points })
+        Ok(Frames { train, test, points: set.points, origin })
     }
 
     /// The first Gaussians, and where they come from.
@@ -73,7 +77,8 @@ impl Args {
         let most = self.initial as usize;
         let ((points, colors), from) = if let Some(path) = &self.points {
             let options = ReadOptions { sh_rest: true, ..ReadOptions::default() };
-            let scene = session.open_with(path, &options)?.loaded.scene;
+            let mut scene = session.open_with(path, &options)?.loaded.scene;
+            scene.move_origin(frames.origin);
             let color = |dc: &[f32; 3]| dc.map(|v| (0.5 + SH_C0 * v).clamp(0.0, 1.0));
             let colors = scene.sh_dc.iter().map(color).collect();
             ((scene.coord, colors), format!("points of {}", path.display()))

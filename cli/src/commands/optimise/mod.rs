@@ -69,7 +69,8 @@ pub fn run(args: &Args, line: &str) -> Result<()> {
             "the time is over at step {done} of {total}: the scene is as it is there"
         ));
     }
-    let kept = args.finish(&session, &optimiser, &frames, &ran)?;
+    let mut kept = args.finish(&session, &optimiser, &frames, &ran)?;
+    kept.origin = frames.origin;
     session.write("scene.ply", |path| write_inria_ply(&kept, &[], path))?;
     session.receipt.add_rows_out(kept.len());
     if optimiser.settings().antialiased {

@@ -94,6 +94,8 @@ pub(super) fn run(args: &Args, line: &str) -> Result<()> {
     let rows = opened.loaded.source_rows();
     let kept = opened.loaded.kept_rows.clone();
     let mut scene = opened.loaded.scene;
+    // Scans are read as f32, in the coordinates of their files.
+    scene.move_origin([0.0; 3]);
     if let Some(path) = &args.lang_feat {
         add_features(&mut scene, path, rows, kept.as_deref())?;
         session.receipt.fingerprint("language features", path)?;

@@ -27,6 +27,14 @@ pub(super) struct Shots {
     pub(super) notes: Vec<String>,
 }
 
+impl Shots {
+    /// The pictures of a scene from whose positions `origin` is subtracted.
+    pub(super) fn relative_to(mut self, origin: [f64; 3]) -> Self {
+        self.list.iter_mut().for_each(|shot| shot.camera = shot.camera.relative_to(origin));
+        self
+    }
+}
+
 /// The chosen cameras of a file.
 pub(super) fn read(path: &Path, args: &Args) -> Result<Shots> {
     let set = open_cameras(path)?;
@@ -58,9 +66,10 @@ pub(super) fn read(path: &Path, args: &Args) -> Result<Shots> {
     Ok(Shots { list, near: None, ceiling: None, notes: set.notes })
 }
 
-/// Writes the cameras of the pictures, by the names of these.
-pub(super) fn write(shots: &[Shot], path: &Path) -> Result<()> {
-    let named = |shot: &Shot| Camera { name: shot.name.clone(), ..shot.camera.clone() };
+/// Writes the cameras of the pictures, by the names of these, in the coordinates of the scene's file.
+pub(super) fn write(shots: &[Shot], origin: [f64; 3], path: &Path) -> Result<()> {
+    let back = origin.map(|v| -v);
+    let named = |shot: &Shot| Camera { name: shot.name.clone(), ..shot.camera.relative_to(back) };
     let cameras: Vec<Camera> = shots.iter().map(named).collect();
     Ok(write_cameras_json(&cameras, path)?)
 }

@@ -20,7 +20,9 @@ pub(super) fn of_scene(scene: &GaussianScene, up: Up, args: &Args) -> Result<Sho
         notes: Vec::new(),
     };
     if let (Some(eye), Some(target)) = (args.eye, args.target) {
-        let look = LookAt { eye, target, fov: args.fov.unwrap_or(60.0) };
+        let relative = |p: [f64; 3]| [0, 1, 2].map(|i| p[i] - scene.origin[i]);
+        let fov = args.fov.unwrap_or(60.0);
+        let look = LookAt { eye: relative(eye), target: relative(target), fov };
         let camera = look.camera("view", up, size).ok_or_else(|| {
             WrongUse(format!("--target {target:?}: is where --eye is; the camera looks nowhere"))
         })?;

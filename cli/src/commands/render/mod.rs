@@ -40,7 +40,7 @@ pub fn run(args: &Args, line: &str) -> Result<()> {
     let LoadedScene { scene, stated_up, .. } = session.open_with(&args.scene, &options)?.loaded;
     let up = || args.up.unwrap_or_else(|| guess_up(&scene, stated_up).direction);
     let shots = match read {
-        Some(shots) => shots,
+        Some(shots) => shots.relative_to(scene.origin),
         None => free::of_scene(&scene, up(), args)?,
     };
     let mut names: Vec<String> =
@@ -55,11 +55,14 @@ pub fn run(args: &Args, line: &str) -> Result<()> {
     for note in &shots.notes {
         session.progress.say(note);
     }
+    let origin = scene.origin;
     let (scene, mut effects) = Effects::on(&session, args, (scene, stated_up), &shots)?;
     let prepared = prepare(&session, args, scene, &shots, effects.needs_depth())?;
     let (lost, empty) = draw(&session, args, &prepared, &shots.list, &mut effects)?;
     if !args.keeps_cameras() {
-        session.write("cameras.json", |path| cameras::write(&shots.list, path))?;
+        session.write("cameras.json", |path| {
+            cameras::write(&shots.list, origin, path)
+        })?;
     }
     effects.tell(&session)?;
     if let Some(first) = empty.first() {

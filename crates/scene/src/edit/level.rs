@@ -6,7 +6,7 @@
 
 use crate::bounds::{Bounds, robust_bounds};
 use crate::formats::unit_f64;
-use crate::frame::Matrix3;
+use crate::frame::{Matrix3, apply};
 use crate::quaternion::axes_by_size;
 use crate::up::shortest_to_z;
 use crate::vector::rotation;
@@ -102,12 +102,14 @@ pub fn level(scene: &GaussianScene) -> Leveling {
         share,
         rotation: Similarity::IDENTITY.rotation,
     };
-    if !found.has_floor() {
-        return found;
+    if found.has_floor() {
+        found.tilt = up.z.clamp(-1.0, 1.0).acos().to_degrees();
+        found.rotation = shortest_to_z(up.to_array());
+        found.floor = floor_height(&facing, up, SLAB * bounds.largest_extent());
     }
-    found.tilt = up.z.clamp(-1.0, 1.0).acos().to_degrees();
-    found.rotation = shortest_to_z(up.to_array());
-    found.floor = floor_height(&facing, up, SLAB * bounds.largest_extent());
+    if scene.has_origin() {
+        found.floor += apply(&found.rotation, scene.origin)[2];
+    }
     found
 }
 

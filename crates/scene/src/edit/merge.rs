@@ -2,6 +2,7 @@
 
 use super::EditError;
 use crate::language_code::LanguageCode;
+use crate::place::{NO_ORIGIN, origin_of, origin_text, sample_step};
 use crate::{GaussianScene, LabelledPoints, LanguageFeatures};
 use serde::Serialize;
 
@@ -23,6 +24,9 @@ pub struct MergeReport {
 /// - Language codes are kept if all scenes that have any share one codebook, else dropped. Features
 ///   are kept if all that have any are as wide. Rows without get zeros: no feature.
 /// - Normals are kept only if all scenes have them.
+/// - Scenes with different origins are brought to one, that of the first if it is near all of their
+///   positions; to none where these are not far from 0 together. Scenes without origins stay as they
+///   are.
 ///
 /// # Errors
 /// If there is no scene, or the arrays of one do not fit together.
@@ -36,10 +40,12 @@ pub fn merge(scenes: Vec<GaussianScene>) -> Result<(GaussianScene, MergeReport),
     if scenes.len() == 1 {
         return Ok((scenes.swap_remove(0), report));
     }
+    join_origins(&mut scenes, &mut report);
     let Some(degree) = scenes.iter().map(|s| s.sh_degree).max() else {
         return Err(EditError::NoScene);
     };
-    let mut out = GaussianScene { sh_degree: degree, ..GaussianScene::default() };
+    let origin = scenes[0].origin;
+    let mut out = GaussianScene { sh_degree: degree, origin, ..GaussianScene::default() };
     let labels = "rows without class labels got no label";
     out.segment = rows_of(&scenes, labels, &mut report, |s| s.segment.as_deref(), -1);
     let scores = "rows without scores got a score of 0";
@@ -71,6 +77,27 @@ pub fn merge(scenes: Vec<GaussianScene>) -> Result<(GaussianScene, MergeReport),
     }
     out.check_rows()?;
     Ok((out, report))
+}
+
+/// Gives all scenes one origin.
+fn join_origins(scenes: &mut [GaussianScene], report: &mut MergeReport) {
+    let Some(first) = scenes.first().map(|s| s.origin) else { return };
+    if scenes.iter().all(|s| s.origin == first) {
+        return;
+    }
+    let step = sample_step(scenes.iter().map(GaussianScene::len).sum());
+    let rows = |s: &GaussianScene| (0..s.len()).step_by(step);
+    let sample: Vec<[f64; 3]> =
+        scenes.iter().flat_map(|s| rows(s).map(|row| s.position(row))).collect();
+    let mut origin = origin_of(sample.iter().copied());
+    let about_first = |p: &[f64; 3]| [0, 1, 2].map(|i| p[i] - first[i]);
+    if origin != NO_ORIGIN && origin_of(sample.iter().map(about_first)) == NO_ORIGIN {
+        // As good, and the rows of the first scene stay as they are.
+        origin = first;
+    }
+    scenes.iter_mut().for_each(|s| s.move_origin(origin));
+    let about = origin_text(origin);
+    report.notes.push(format!("positions were brought to one origin, {about}"));
 }
 
 /// Numbers, from 1, of the scenes for which something is so.

@@ -78,9 +78,9 @@ pub enum EditError {
     #[error("no Gaussian has its center in the box; the scene lies in {min:?} to {max:?}")]
     EmptyCrop {
         /// Lowest center.
-        min: [f32; 3],
+        min: [f64; 3],
         /// Highest center.
-        max: [f32; 3],
+        max: [f64; 3],
     },
     /// A factor that makes no sense.
     #[error("a scale of {0}: must be above 0 and leave every position finite")]
@@ -113,7 +113,7 @@ impl SceneEdit {
             None => scene,
         };
         if let (Some(crop), Some(points)) = (&self.crop, &mut scene.labelled_points) {
-            crop.cut_points(points);
+            crop.cut_points(points, scene.origin);
         }
         if let Some(degree) = self.sh_degree {
             cut_harmonics(&mut scene, degree);
@@ -168,7 +168,8 @@ impl SceneEdit {
 
 fn check_finite(scene: &GaussianScene, error: EditError) -> Result<(), EditError> {
     let lost = |p: &[f32; 3]| !p.iter().all(|v| v.is_finite());
-    if scene.coord.par_iter().any(lost) { Err(error) } else { Ok(()) }
+    let origin_lost = !scene.origin.iter().all(|v| v.is_finite());
+    if origin_lost || scene.coord.par_iter().any(lost) { Err(error) } else { Ok(()) }
 }
 
 /// Drops the bands above `degree`.

@@ -14,6 +14,7 @@ pub use nerfstudio::{is_transforms_json, read_transforms_json};
 
 use super::json_text::without_mark;
 use crate::input_file::InputFile;
+use crate::place::{NO_ORIGIN, origin_of, sample_rows};
 use crate::{Camera, SceneError};
 use serde::Serialize;
 use std::path::{Path, PathBuf};
@@ -58,6 +59,23 @@ pub struct CameraSet {
 }
 
 impl CameraSet {
+    /// What to subtract from the world of the cameras so that f32 holds their points: zero for points
+    /// near 0, and without points. Where cameras stand says too little of how large a scene is.
+    pub fn far_origin(&self) -> [f64; 3] {
+        let points = self.points.as_ref().map_or(&[][..], |points| &points.coord);
+        origin_of(sample_rows(points.len()).map(|row| points[row]))
+    }
+
+    /// Cameras and points in a world from whose positions `origin` is subtracted.
+    pub fn relative_to(mut self, origin: [f64; 3]) -> Self {
+        if origin != NO_ORIGIN {
+            self.cameras.iter_mut().for_each(|camera| *camera = camera.relative_to(origin));
+            let points = self.points.iter_mut().flat_map(|points| &mut points.coord);
+            points.for_each(|p| p.iter_mut().zip(origin).for_each(|(v, o)| *v -= o));
+        }
+        self
+    }
+
     /// Checks every camera, and that there is one.
     pub(crate) fn finish(mut self, path: &Path) -> Result<Self, SceneError> {
         if self.cameras.is_empty() {

@@ -37,6 +37,7 @@ use super::json_text::{is_json, without_mark};
 use super::memory::zeroed;
 use super::{LoadedScene, ReadOptions, SceneFormat, semantics};
 use crate::gaussian_scene::sh_rest_len;
+use crate::place::{NO_ORIGIN, origin_of, sample_step};
 use crate::value_policy::Rule;
 use crate::{GaussianScene, RepairReport, SceneError};
 use attributes::{Attributes, used_attributes};
@@ -104,7 +105,8 @@ impl Part<'_> {
 
 /// Reads the Gaussians of a `.gltf` or `.glb`.
 ///
-/// Rows are numbered through all primitives, in the order of the scene's nodes. `report.notes`
+/// Rows are numbered through all primitives, in the order of the scene's nodes. Where nodes take the
+/// scene far from 0, an origin is subtracted before positions become f32. `report.notes`
 /// says how sizes were understood, and what was left out or changed.
 ///
 /// # Errors
@@ -121,7 +123,7 @@ pub fn read_gltf(
     let document = document::parse(json, path)?;
     let mut report = RepairReport::default();
     check_required(&document, path, &mut report)?;
-    let jobs = gaussian_primitives(&document, path, &mut report)?;
+    let mut jobs = gaussian_primitives(&document, path, &mut report)?;
     let needed = needed_buffers(&document, &jobs, options.sh_rest, path)?;
     let buffers = Buffers::open(&document, bin, path, &needed)?;
     let mut spz = SpzParts::open(&document, &buffers, &jobs, options, path)?;
@@ -148,6 +150,7 @@ pub fn read_gltf(
         });
     }
     let rows: usize = parts.iter().map(Part::rows).sum();
+    let origin = subtract_origin(&parts, &mut jobs, &mut spz, &mut report)?;
     let mut scene = GaussianScene { sh_degree: degree, ..GaussianScene::default() };
     for (part, job) in parts.into_iter().zip(&jobs) {
         let first = scene.len();
@@ -162,6 +165,7 @@ pub fn read_gltf(
         job.place.apply(&mut read);
         append(&mut scene, read, rows, path)?;
     }
+    scene.origin = origin;
     semantics::read_sidecar(path, bytes, rows, options.policy, &mut scene, &mut report)?;
     LoadedScene::finish(scene, report, options.policy, path, SceneFormat::Gltf)
 }
@@ -248,6 +252,36 @@ fn widen(scene: &mut GaussianScene, degree: u8, path: &Path) -> Result<(), Scene
         rows.for_each(|(new, old)| new[..had].copy_from_slice(old));
     }
     Ok(())
+}
+
+/// Has the nodes place their Gaussians relative to the origin of the whole scene, and gives it.
+///
+/// Only nodes that move something are a reason for one: the positions themselves are f32.
+fn subtract_origin(
+    parts: &[Part<'_>],
+    jobs: &mut [Job<'_>],
+    spz: &mut SpzParts<'_>,
+    report: &mut RepairReport,
+) -> Result<[f64; 3], SceneError> {
+    if jobs.iter_mut().all(|job| *job.place.translation() == NO_ORIGIN) {
+        return Ok(NO_ORIGIN);
+    }
+    let step = sample_step(parts.iter().map(Part::rows).sum());
+    let mut sample = Vec::new();
+    for (part, job) in parts.iter().zip(&*jobs) {
+        let place = |p| job.place.position(p);
+        match part {
+            Part::Attributes(part) => sample.extend(part.sample_positions(step).map(place)),
+            Part::Spz(view, _) => {
+                sample.extend(spz.sample_positions(*view, step, report)?.into_iter().map(place));
+            }
+        }
+    }
+    let origin = origin_of(sample.into_iter());
+    for job in jobs {
+        job.place.translation().iter_mut().zip(origin).for_each(|(t, o)| *t -= o);
+    }
+    Ok(origin)
 }
 
 /// Reports quaternions without direction, and repairs them before they are multiplied.

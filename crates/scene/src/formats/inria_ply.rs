@@ -22,7 +22,7 @@ const SCORE: &str = "score";
 
 /// Reads a scene from an open PLY file.
 ///
-/// Required are `x y z`. The others have defaults, each reported: `scale_0..2` (0.01 m; one scale
+/// Required are `x y z`; doubles far from 0 are kept relative to an origin. The others have defaults, each reported: `scale_0..2` (0.01 m; one scale
 /// counts for all axes; without `scale_2` the third axis is 1e-7 m), `rot_0..3` (`w x y z`; no
 /// rotation), `opacity` (alpha 1), `f_dc_0..2` (from `red green blue`, else gray). Read if there:
 /// `f_rest_*` (all of one degree), `nx ny nz` (unless all are 0), `segment` or `label` with their
@@ -48,7 +48,10 @@ pub fn read_inria_ply(file: &PlyFile, options: &ReadOptions) -> Result<LoadedSce
         return Err(SceneError::format(file.path(), problem, "vertices need a position"));
     }
     let path = file.path();
-    reader.fill(&mut pass, &[x, y, z], &mut scene.coord)?;
+    match file.far_positions(VERTEX)? {
+        Some((coord, origin)) => (scene.coord, scene.origin) = (coord, origin),
+        None => reader.fill(&mut pass, &[x, y, z], &mut scene.coord)?,
+    }
     scene.log_scale = match reader.odd_scale()? {
         Some(values) => values,
         None => zeroed(rows, path)?,
@@ -237,7 +240,7 @@ pub(super) fn rest_names(num_rest: usize) -> Vec<String> {
 /// `x y z nx ny nz f_dc_0..2 f_rest_* opacity scale_0..2 rot_0..3`, then `segment`, `score`,
 /// `instance` and `lang_code_*` if the scene has them, then `extra`; after the vertices the element
 /// `lang_codebook` where there are codes. All floats are written as they are, so that reading gives
-/// the same scene; normals are 0 where the scene has none. Language features and labeled points
+/// the same scene; a scene with an origin has it added to `x y z`, which are `double` then. Normals are 0 where the scene has none. Language features and labeled points
 /// have no place in this format.
 ///
 /// # Errors
@@ -275,7 +278,7 @@ fn write_columns(
     progress: WriteProgress<'_>,
 ) -> Result<(), SceneError> {
     let mut columns: Vec<(String, ColumnSource<'_>)> = Vec::new();
-    columns.extend(strided(&["x", "y", "z"], scene.coord.as_flattened()));
+    columns.extend(positions(scene));
     match &scene.normal {
         Some(normal) => columns.extend(strided(&["nx", "ny", "nz"], normal.as_flattened())),
         None => columns.extend(["nx", "ny", "nz"].map(|n| (n.to_owned(), ColumnSource::Zero))),
@@ -312,6 +315,16 @@ fn write_columns(
     }
     columns.extend(extra.iter().map(|c| (c.name.to_owned(), ColumnSource::Values(c.values))));
     write_new_ply(file, scene.len(), &columns, &after, progress)
+}
+
+/// The columns of the positions: doubles where f32 would not hold them.
+fn positions(scene: &GaussianScene) -> Vec<(String, ColumnSource<'_>)> {
+    let (names, values) = (["x", "y", "z"], scene.coord.as_flattened());
+    if !scene.has_origin() {
+        return strided(&names, values).collect();
+    }
+    let source = |at| ColumnSource::Placed { values, width: 3, at, add: scene.origin[at] };
+    names.iter().enumerate().map(|(at, &name)| (name.to_owned(), source(at))).collect()
 }
 
 /// The columns of a row-major array.

@@ -3,8 +3,10 @@
 use super::label_column::{INSTANCE_RULES, SEGMENT_RULES, read_labels};
 use super::ply::PlyFile;
 use crate::gaussian_scene::retain_flagged;
+use crate::place::{NO_ORIGIN, less, origin_note, plus};
 use crate::value_policy::Rule;
 use crate::{LabelledPoints, Policy, RepairReport, SceneError};
+use rayon::prelude::*;
 use std::path::Path;
 
 const VERTEX: &str = "vertex";
@@ -17,7 +19,9 @@ const INSTANCE_NAMES: [&str; 3] = ["instance", "instance_id", "scalar_instance"]
 /// Points with a class each.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct LabelledCloud {
-    /// Positions, meters. `[M, 3]`
+    /// What was subtracted from all positions, in their units; zero for clouds near 0.
+    pub origin: [f64; 3],
+    /// Positions relative to `origin`, meters. `[M, 3]`
     pub coord: Vec<[f32; 3]>,
     /// Normals as in the file. `[M, 3]`
     pub normal: Option<Vec<[f32; 3]>>,
@@ -31,16 +35,21 @@ pub struct LabelledCloud {
     pub kept_rows: Option<Vec<u32>>,
 }
 
-impl From<LabelledCloud> for LabelledPoints {
-    fn from(cloud: LabelledCloud) -> Self {
-        Self { coord: cloud.coord, segment: Some(cloud.segment), instance: cloud.instance }
+impl LabelledCloud {
+    /// The points as those of a scene with this origin.
+    pub fn into_points(mut self, origin: [f64; 3]) -> LabelledPoints {
+        if self.origin != origin {
+            let moved = |p: &mut [f32; 3]| *p = less(plus(*p, self.origin), origin);
+            self.coord.par_iter_mut().for_each(moved);
+        }
+        LabelledPoints { coord: self.coord, segment: Some(self.segment), instance: self.instance }
     }
 }
 
 /// Reads `x y z`, labels (the named column, or the first of [`LABEL_NAMES`]) and, if there, `nx ny nz`,
 /// `red green blue` as bytes, and `instance`.
 ///
-/// Negative labels and 65535 in 16-bit columns become -1. A point without a finite position is
+/// Positions that are doubles far from 0 are kept relative to an origin. Negative labels and 65535 in 16-bit columns become -1. A point without a finite position is
 /// left out and reported.
 ///
 /// # Errors
@@ -68,8 +77,14 @@ pub fn read_labelled_ply(
     };
     let mut report = RepairReport { source_rows: vertex.count, ..RepairReport::default() };
     file.report_trailing(vertex.count, &mut report);
+    let (coord, origin) = match file.far_positions(VERTEX)? {
+        Some(far) => far,
+        None => (file.rows_f32(VERTEX, ["x", "y", "z"])?, NO_ORIGIN),
+    };
+    report.notes.extend(origin_note(origin));
     let mut cloud = LabelledCloud {
-        coord: file.rows_f32(VERTEX, ["x", "y", "z"])?,
+        origin,
+        coord,
         segment: read_labels(&file, VERTEX, label, SEGMENT_RULES, &mut report)?,
         ..LabelledCloud::default()
     };

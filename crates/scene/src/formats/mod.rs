@@ -35,6 +35,7 @@ pub(crate) use table::Writer;
 pub use table::{FORMATS, FormatRow, SceneFormat};
 pub use write::{PrecisionLimit, WriteOptions, WriteProgress, WriteReport, write_scene};
 
+use crate::place::origin_note;
 use crate::value_policy::clean_scene;
 use crate::{GaussianScene, Policy, RepairReport, SceneError, StatedUp};
 use serde::{Deserialize, Serialize};
@@ -109,6 +110,7 @@ impl LoadedScene {
         path: &Path,
         kind: SceneFormat,
     ) -> Result<Self, SceneError> {
+        report.notes.extend(origin_note(scene.origin));
         let (scene, kept_rows) = clean_scene(scene, &mut report, policy, path)?;
         let stated_up = kind.stated_up();
         Ok(Self { scene, report, kept_rows, path: path.to_owned(), kind, stated_up })

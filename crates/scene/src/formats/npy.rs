@@ -4,6 +4,7 @@
 
 use crate::SceneError;
 use crate::input_file::{InputFile, filled};
+use crate::place::less;
 use half::f16;
 use rayon::prelude::*;
 use std::path::Path;
@@ -207,12 +208,34 @@ impl NpyFile {
     /// # Errors
     /// If there is not enough memory.
     pub fn read_f64(&self) -> Result<Vec<f64>, SceneError> {
-        self.read(|v| match v {
-            Value::Int(v) => v as f64,
-            Value::UInt(v) => v as f64,
-            Value::F16(v) => v.to_f64(),
-            Value::F32(v) => f64::from(v),
-            Value::F64(v) => v,
+        self.read(Value::to_f64)
+    }
+
+    /// Rows of three values less `origin`, subtracted in f64 and rounded once.
+    ///
+    /// # Errors
+    /// If there is not enough memory.
+    pub(crate) fn read_about(&self, origin: [f64; 3]) -> Result<Vec<[f32; 3]>, SceneError> {
+        let mut out = filled(self.count / 3, [0f32; 3], self.path())?;
+        out.par_chunks_mut(VALUES_PER_TASK).enumerate().for_each(|(task, rows)| {
+            for (i, row) in rows.iter_mut().enumerate() {
+                *row = less(self.position(task * VALUES_PER_TASK + i), origin);
+            }
+        });
+        self.map.check_length()?;
+        Ok(out)
+    }
+
+    /// A row of an array of rows of three values.
+    pub(crate) fn position(&self, row: usize) -> [f64; 3] {
+        let size = self.ty.size();
+        [0, 1, 2].map(|column| {
+            let at = match self.transposed {
+                Some([rows, _]) => column * rows + row,
+                None => row * 3 + column,
+            };
+            let bytes = &self.map.bytes()[self.data_start + at * size..][..size];
+            value(self.ty, bytes, self.big_endian).to_f64()
         })
     }
 
@@ -310,6 +333,18 @@ enum Value {
     F16(f16),
     F32(f32),
     F64(f64),
+}
+
+impl Value {
+    fn to_f64(self) -> f64 {
+        match self {
+            Self::Int(v) => v as f64,
+            Self::UInt(v) => v as f64,
+            Self::F16(v) => v.to_f64(),
+            Self::F32(v) => f64::from(v),
+            Self::F64(v) => v,
+        }
+    }
 }
 
 #[inline]

@@ -17,6 +17,7 @@ use super::npy::{NpyFile, NpyType};
 use super::semantics::clean_code;
 use super::{LoadedScene, ReadOptions, SceneFormat};
 use crate::gaussian_scene::{SH_C0, probability_to_logit, u8_to_dc};
+use crate::place::{NO_ORIGIN, origin_of, sample_rows};
 use crate::value_policy::{DEFAULT_GREY, DEFAULT_SCALE, Rule};
 use crate::{
     GaussianScene, LabelledPoints, LanguageCode, LanguageCodebook, LanguageFeatures, RepairReport,
@@ -28,7 +29,8 @@ use std::path::Path;
 
 /// Reads a scene from a folder of `.npy` files.
 ///
-/// Required is `coord`. Defaults, each reported: `scale` (0.01 m), `quat` (no rotation), `opacity`
+/// Required is `coord`; doubles far from 0 are kept relative to an origin, and `pc_coord` with them.
+/// Defaults, each reported: `scale` (0.01 m), `quat` (no rotation), `opacity`
 /// (1), `color` (gray). Read if there: `normal`, `lang_feat`, `valid_feat_mask` (else: where any
 /// feature is not 0), labels, `instance`, and the labeled points `pc_coord`, `pc_instance` and
 /// `pc_` + the file of labels. Labels of several columns count by their first. Logits and
@@ -41,8 +43,9 @@ pub fn read_npy_folder(folder: &Path, options: &ReadOptions) -> Result<LoadedSce
     let coord = open(folder, "coord")?.ok_or_else(|| {
         SceneError::format(folder, "is a folder without coord.npy", "every scene needs positions")
     })?;
-    let coord = rows::<3>(&coord, None)?;
-    let mut reader = Reader { folder, rows: coord.len(), report: RepairReport::default() };
+    let origin = far_origin(&coord)?;
+    let coord = positions(&coord, origin)?;
+    let mut reader = Reader { folder, rows: coord.len(), origin, report: RepairReport::default() };
     let log_scale = reader.log_scale()?;
     let quat = match reader.open("quat")? {
         Some(file) => rows::<4>(&file, Some(reader.rows))?,
@@ -71,6 +74,7 @@ pub fn read_npy_folder(folder: &Path, options: &ReadOptions) -> Result<LoadedSce
     let labelled_points =
         reader.labelled_points(options.segment.as_deref(), label_stem.as_deref())?;
     let scene = GaussianScene {
+        origin,
         coord,
         log_scale,
         quat,
@@ -109,6 +113,25 @@ fn rows<const W: usize>(
     Ok(file.read_f32()?.as_chunks::<W>().0.to_vec())
 }
 
+/// The origin of positions; zero unless they are doubles, far from 0.
+fn far_origin(file: &NpyFile) -> Result<[f64; 3], SceneError> {
+    if !matches!(file.shape(), [_, 3]) {
+        return Err(wrong_shape(file, None, "3"));
+    }
+    if file.ty() != NpyType::Float(8) {
+        return Ok(NO_ORIGIN);
+    }
+    Ok(origin_of(sample_rows(file.shape()[0]).map(|row| file.position(row))))
+}
+
+/// Reads positions relative to an origin.
+fn positions(file: &NpyFile, origin: [f64; 3]) -> Result<Vec<[f32; 3]>, SceneError> {
+    match file.shape() {
+        [_, 3] if origin != NO_ORIGIN => file.read_about(origin),
+        _ => rows::<3>(file, None),
+    }
+}
+
 /// Whether an array is `[N]` or `[N, 1]`.
 fn is_column(file: &NpyFile, rows: usize) -> bool {
     matches!(file.shape(), [n] | [n, 1] if *n == rows)
@@ -125,6 +148,8 @@ fn wrong_shape(file: &NpyFile, rows: Option<usize>, width: &str) -> SceneError {
 struct Reader<'a> {
     folder: &'a Path,
     rows: usize,
+    /// Of all positions.
+    origin: [f64; 3],
     report: RepairReport,
 }
 
@@ -322,7 +347,7 @@ impl Reader<'_> {
         label_stem: Option<&str>,
     ) -> Result<Option<LabelledPoints>, SceneError> {
         let Some(coord) = self.open("pc_coord")? else { return Ok(None) };
-        let coord = rows::<3>(&coord, None)?;
+        let coord = positions(&coord, self.origin)?;
         let instance = self.labels("pc_instance", coord.len(), INSTANCE_RULES)?;
         let stems = match wanted.or(label_stem) {
             Some(stem) => vec![format!("pc_{stem}")],

@@ -10,6 +10,7 @@ mod gather;
 mod header;
 mod layout;
 mod lists;
+mod positions;
 mod raw_rows;
 mod writer;
 

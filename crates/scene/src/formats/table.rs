@@ -100,7 +100,7 @@ pub struct FormatRow {
     /// nothing, and the numbers of the file are those in memory.
     pub frame: Option<Frame>,
     /// Arrays that it keeps, of those that most do not: language features and labeled points,
-    /// normals, harmonics.
+    /// normals, harmonics, the place of scenes far from 0.
     pub(super) keeps: Keeps,
 }
 
@@ -110,9 +110,11 @@ pub(super) struct Keeps {
     pub(super) features: bool,
     pub(super) normals: bool,
     pub(super) harmonics: bool,
+    /// Positions far from 0: doubles, or an offset.
+    pub(super) origin: bool,
 }
 
-const PLAIN: Keeps = Keeps { features: false, normals: false, harmonics: true };
+const PLAIN: Keeps = Keeps { features: false, normals: false, harmonics: true, origin: false };
 
 /// All formats, in the order in which files are tried: those without a mark of their own last.
 pub static FORMATS: [FormatRow; 11] = [
@@ -134,7 +136,7 @@ pub static FORMATS: [FormatRow; 11] = [
         reader: None,
         writer: Some(File(inria_ply::write_ply)),
         frame: None,
-        keeps: Keeps { normals: true, ..PLAIN },
+        keeps: Keeps { normals: true, origin: true, ..PLAIN },
     },
     FormatRow {
         format: SceneFormat::Spz,
@@ -165,7 +167,7 @@ pub static FORMATS: [FormatRow; 11] = [
         reader: None,
         writer: Some(Beside(gltf::write_glb)),
         frame: Some(Frame::LUF),
-        keeps: PLAIN,
+        keeps: Keeps { origin: true, ..PLAIN },
     },
     FormatRow {
         format: SceneFormat::Sog,
@@ -225,7 +227,7 @@ pub static FORMATS: [FormatRow; 11] = [
         reader: None,
         writer: Some(Files(npy_folder::write_npy_scene)),
         frame: None,
-        keeps: Keeps { features: true, normals: true, harmonics: false },
+        keeps: Keeps { features: true, normals: true, harmonics: false, origin: true },
     },
 ];
 

@@ -4,6 +4,7 @@ use super::limit_tally::{LimitTally, Limits};
 use super::packed_values::check_storable;
 use super::semantics::Sidecar;
 use super::{SceneFormat, SpzFrame, Writer};
+use crate::place::origin_text;
 use crate::{AtomicFile, GaussianScene, SceneError};
 use serde::Serialize;
 use std::fmt;
@@ -166,6 +167,9 @@ impl fmt::Display for WriteReport {
 /// know them open the scene as before. Such a file of an earlier scene is removed if this one has
 /// nothing of the kind.
 ///
+/// A scene with an origin is written in the coordinates of its file by the formats that hold doubles
+/// or an offset (PLY, `.glb`, `.npy`); by the others relative to the origin, which the report says.
+///
 /// # Errors
 /// If the scene is empty or its arrays do not match, if a position, size, rotation, opacity or color
 /// is not a number, if there is a file already (of the scene or of its labels) and
@@ -217,9 +221,25 @@ pub fn write_scene(
             labels.iter().try_for_each(|labels| report.wrote(labels))?;
         }
     }
+    note_origin(scene, &mut report);
     note_left_out(scene, &mut report);
     progress(1.0);
     Ok(report)
+}
+
+/// Notes that the positions in the file are not those of a scene with an origin.
+fn note_origin(scene: &GaussianScene, report: &mut WriteReport) {
+    if !scene.has_origin() || report.format.row().keeps.origin {
+        return;
+    }
+    let origin = origin_text(scene.origin);
+    let limit = format!(
+        "positions are about {origin}, further out than this format holds them: they were written \
+         relative to that origin"
+    );
+    let far = scene.origin.iter().map(|v| v * v).sum::<f64>().sqrt();
+    let all = LimitTally { rows: scene.len(), first_row: 0, largest_change: far };
+    report.limit("coord", limit, all);
 }
 
 /// Notes the arrays that no writer of the format takes.

@@ -2,7 +2,7 @@
 
 use scenesplat_scene::formats::labelled_ply::{LabelledCloud, read_labelled_ply};
 use scenesplat_scene::value_policy::Rule;
-use scenesplat_scene::{LabelledPoints, Policy, RepairReport, SceneError};
+use scenesplat_scene::{Policy, RepairReport, SceneError};
 
 fn read(text: &str, policy: Policy) -> Result<(LabelledCloud, RepairReport), SceneError> {
     let dir = tempfile::tempdir().unwrap();
@@ -42,7 +42,7 @@ fn every_column_is_read() {
     assert_eq!(cloud.instance.as_deref(), Some(&[5, -1, 0][..]));
     assert_eq!(report.count(Rule::SegmentNone), 1);
     assert_eq!(report.count(Rule::InstanceNone), 1);
-    let points = LabelledPoints::from(cloud.clone());
+    let points = cloud.clone().into_points([0.0; 3]);
     assert_eq!((points.coord, points.segment), (cloud.coord, Some(cloud.segment)));
 }
 

@@ -14,6 +14,7 @@ mod ksplat;
 mod labelled_ply;
 mod npy;
 mod pictures;
+mod place;
 mod ply_container;
 mod real_files;
 mod round_trip;

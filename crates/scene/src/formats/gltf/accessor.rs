@@ -174,6 +174,13 @@ impl<'a> View<'a> {
         }
     }
 
+    /// The first `W` values of an element.
+    pub(super) fn row<const W: usize>(&self, row: usize) -> [f32; W] {
+        let mut out = [0.0; W];
+        self.decode(row..row + 1, 0..W, &mut out, W, 0);
+        out
+    }
+
     /// Converts elements one after the other.
     fn convert<'b>(
         &self,

@@ -145,6 +145,12 @@ impl<'a> Attributes<'a> {
         self.scale.as_ref().is_some_and(View::any_negative)
     }
 
+    /// Some positions as the file has them, those of every `step`-th row.
+    pub(super) fn sample_positions(&self, step: usize) -> impl Iterator<Item = [f64; 3]> + '_ {
+        let rows = (0..self.rows).step_by(step);
+        rows.map(|row| self.position.row::<3>(row).map(f64::from))
+    }
+
     /// Whether there are sizes at all.
     pub(super) fn has_scale(&self) -> bool {
         self.scale.is_some()

@@ -58,6 +58,22 @@ impl Placement {
         Some(Self::Similar(Similarity { rotation, scale, translation: by.translation }))
     }
 
+    /// Where a point comes to lie.
+    pub(super) fn position(&self, p: [f64; 3]) -> [f64; 3] {
+        match self {
+            Self::Similar(by) => by.apply(p),
+            Self::Stretched { by, .. } => by.apply(p),
+        }
+    }
+
+    /// What is added to every position in the end.
+    pub(super) fn translation(&mut self) -> &mut [f64; 3] {
+        match self {
+            Self::Similar(by) => &mut by.translation,
+            Self::Stretched { by, .. } => &mut by.translation,
+        }
+    }
+
     /// Moves the Gaussians; their quaternions must have a length.
     pub(super) fn apply(&self, scene: &mut GaussianScene) {
         let (by, rotation) = match self {

@@ -67,6 +67,33 @@ impl<'a> SpzParts<'a> {
         self.parts.values().fold(0, |sum, part| sum.saturating_add(part.bytes.len()))
     }
 
+    /// Some positions of a view, those of every `step`-th row. A document's only SPZ file is kept for
+    /// [`read`](Self::read); several are decoded once more there, so that they do not lie in memory
+    /// together.
+    pub(super) fn sample_positions(
+        &mut self,
+        view: usize,
+        step: usize,
+        report: &mut RepairReport,
+    ) -> Result<Vec<[f64; 3]>, SceneError> {
+        let of = |scene: &GaussianScene| {
+            scene.coord.iter().step_by(step).map(|p| p.map(f64::from)).collect()
+        };
+        let is_only = self.parts.len() == 1;
+        let (path, options) = (self.path, &self.options);
+        let Some(part) = self.parts.get_mut(&view) else { return Ok(Vec::new()) };
+        if !is_only {
+            return Ok(of(&decode(part, path, options, &mut RepairReport::default())?));
+        }
+        let scene = match part.decoded.take() {
+            Some(scene) => scene,
+            None => decode(part, path, options, report)?,
+        };
+        let sample = of(&scene);
+        part.decoded = Some(scene);
+        Ok(sample)
+    }
+
     /// The Gaussians of a view, decoded the first time and copied from then on; what there is to
     /// report of them is reported once.
     pub(super) fn read(

@@ -10,7 +10,7 @@ use crate::formats::packed_values::{
 use crate::formats::{WriteOptions, WriteProgress, WriteReport};
 use crate::gaussian_scene::probability_to_logit;
 use crate::spherical_harmonics::ShRotation;
-use crate::{Frame, GaussianScene, SceneError};
+use crate::{Frame, GaussianScene, SceneError, Similarity};
 use rayon::prelude::*;
 use serde_json::{Map, Value, json};
 use std::io::Write;
@@ -54,7 +54,8 @@ impl Attribute {
 /// One primitive of points with f32 attributes, in glTF's frame ([`Frame::LUF`]): standard
 /// deviations, quaternions `x, y, z, w`, opacities 0 to 1, and every band of harmonics. Positions,
 /// harmonics and the signs of rotations change by signs only, and come back bit for bit; sizes and
-/// opacities pass through an exponential of 32 bits. Written again, a file that was written here is
+/// opacities pass through an exponential of 32 bits. The origin of a scene that has one is the
+/// translation of the node. Written again, a file that was written here is
 /// the same.
 ///
 /// # Errors
@@ -196,7 +197,7 @@ fn document(scene: &GaussianScene, attributes: &[Attribute], binary: u64) -> Vec
         "extensionsUsed": ["KHR_gaussian_splatting"],
         "scene": 0,
         "scenes": [{ "nodes": [0] }],
-        "nodes": [{ "mesh": 0 }],
+        "nodes": [node(scene)],
         "meshes": [{ "primitives": [{
             "mode": 0,
             "attributes": names,
@@ -215,6 +216,15 @@ fn document(scene: &GaussianScene, attributes: &[Attribute], binary: u64) -> Vec
     .into_bytes();
     text.resize(text.len().next_multiple_of(4), b' ');
     text
+}
+
+/// The node that shows the Gaussians; it brings a scene with an origin to its place.
+fn node(scene: &GaussianScene) -> Value {
+    if !scene.has_origin() {
+        return json!({ "mesh": 0 });
+    }
+    let to_file = Similarity::between(Frame::CANONICAL, Frame::LUF);
+    json!({ "mesh": 0, "translation": to_file.apply(scene.origin) })
 }
 
 fn bounds(scene: &GaussianScene, position: &Attribute) -> ([f32; 3], [f32; 3]) {

@@ -9,6 +9,7 @@ use crate::formats::packed_values::{
 };
 use crate::formats::{SceneFormat, WriteOptions, WriteProgress, WriteReport};
 use crate::gaussian_scene::{probability_to_logit, sigmoid};
+use crate::place::{NO_ORIGIN, plus};
 use crate::{GaussianScene, SceneError};
 use rayon::prelude::*;
 use std::ffi::OsString;
@@ -41,7 +42,7 @@ const BYTES_PER_TICK: usize = 4 << 20;
 const ROWS_PER_TASK: usize = 4096;
 
 /// Writes a scene as a folder of `.npy` files, with the names and types of the original
-/// preprocessing; spherical harmonics beyond the DC term are not part of the format.
+/// preprocessing; positions of a scene with an origin are f64. Spherical harmonics beyond the DC term are not part of the format.
 ///
 /// All files are written to a temporary folder first and then moved. With `overwrite`, files of
 /// this format that an earlier scene left in the folder are replaced or removed; others are kept.
@@ -120,7 +121,8 @@ fn total_bytes(scene: &GaussianScene) -> usize {
     let code = scene.lang_code.as_ref().map_or(0, |code| {
         code.values.len() * 2 + (code.codebook.mean.len() + code.codebook.axes.len()) * 4
     });
-    rows(true, 12 + 3 + 4 + 12 + 16)
+    let position = if scene.has_origin() { 24 } else { 12 };
+    rows(true, position + 3 + 4 + 12 + 16)
         + rows(scene.normal.is_some(), 12)
         + rows(scene.segment.is_some(), 4)
         + rows(scene.instance.is_some(), 4)
@@ -128,7 +130,7 @@ fn total_bytes(scene: &GaussianScene) -> usize {
         + rows(scene.valid_feat_mask.is_some(), 8)
         + code
         + scene.lang_feat.as_ref().map_or(0, |feat| feat.values.len() * 2)
-        + scene.labelled_points.as_ref().map_or(0, |points| points.coord.len() * 20)
+        + scene.labelled_points.as_ref().map_or(0, |points| points.coord.len() * (position + 8))
 }
 
 struct Writer<'a> {
@@ -206,13 +208,26 @@ impl Writer<'_> {
     }
 }
 
+/// Writes positions in the coordinates of the file: as doubles where f32 would not hold them.
+fn write_positions(
+    stem: &str,
+    coord: &[[f32; 3]],
+    origin: [f64; 3],
+    to: &mut Writer<'_>,
+) -> Result<(), SceneError> {
+    if origin == NO_ORIGIN {
+        return to.array(stem, coord.len(), &[3], coord.as_flattened());
+    }
+    to.computed(stem, coord.len(), &[3], |row, _| plus(coord[row], origin)).map(|_| ())
+}
+
 fn write_files(
     scene: &GaussianScene,
     to: &mut Writer<'_>,
     report: &mut WriteReport,
 ) -> Result<(), SceneError> {
     let n = scene.len();
-    to.array("coord", n, &[3], scene.coord.as_flattened())?;
+    write_positions("coord", &scene.coord, scene.origin, to)?;
     let [clipped, _] = to.computed("color", n, &[3], |row, Limits([clipped, _])| {
         tally_colors(row, scene.sh_dc[row], clipped);
         scene.color_u8(row)
@@ -266,7 +281,7 @@ fn write_optional(scene: &GaussianScene, to: &mut Writer<'_>) -> Result<(), Scen
     }
     if let Some(points) = &scene.labelled_points {
         let m = points.coord.len();
-        to.array("pc_coord", m, &[3], points.coord.as_flattened())?;
+        write_positions("pc_coord", &points.coord, scene.origin, to)?;
         if let Some(segment) = &points.segment {
             to.array("pc_segment", m, &[], segment)?;
         }

@@ -302,6 +302,8 @@ pub(crate) enum ColumnSource<'a> {
     Values(ColumnValues<'a>),
     /// Every `width`-th value from `at` on.
     Strided { values: &'a [f32], width: usize, at: usize },
+    /// As `Strided`, each value plus `add`, written as `double`.
+    Placed { values: &'a [f32], width: usize, at: usize, add: f64 },
     /// As `Strided`, written as `float`.
     StridedHalf { values: &'a [f16], width: usize, at: usize },
     /// `0.0` in every row.
@@ -312,6 +314,7 @@ impl ColumnSource<'_> {
     fn ty(&self) -> PlyType {
         match self {
             Self::Values(values) => values.ty(),
+            Self::Placed { .. } => PlyType::F64,
             _ => PlyType::F32,
         }
     }
@@ -321,6 +324,10 @@ impl ColumnSource<'_> {
             Self::Values(values) => values.push(row, out),
             Self::Strided { values, width, at } => {
                 out.extend_from_slice(&values[row * width + at].to_le_bytes());
+            }
+            Self::Placed { values, width, at, add } => {
+                let value = f64::from(values[row * width + at]) + add;
+                out.extend_from_slice(&value.to_le_bytes());
             }
             Self::StridedHalf { values, width, at } => {
                 out.extend_from_slice(&values[row * width + at].to_f32().to_le_bytes());
