@@ -58,7 +58,8 @@ fn without_panic<T: Send>(threads: usize, work: impl FnOnce() -> T + Send) -> T 
     let before = panics().len();
     let name = format!("command {}", COMMANDS.fetch_add(1, Ordering::Relaxed));
     let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).stack_size(8 << 20);
-    let pool = pool.thread_name(|_| name.clone()).build().unwrap();
+    let named = name.clone();
+    let pool = pool.thread_name(move |_| named.clone()).build().unwrap();
     let done = pool.install(work);
     // Tests run on threads of their names, `module::test`, or on the main one.
     let is_other =
