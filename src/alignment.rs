@@ -19,6 +19,7 @@ use rayon::prelude::*;
 use scenesplat_scene::edit::{Walls, level};
 use scenesplat_scene::frame::Matrix3;
 use scenesplat_scene::similarity::{matrix_to_quat, quat_product};
+use scenesplat_scene::vector::dot;
 use scenesplat_scene::{
     Bounds, Floors, GaussianScene, Similarity, StatedUp, Up, UpGuess, guess_up, robust_bounds,
 };
@@ -180,7 +181,7 @@ impl Alignment {
             floors: Floors::given(0.0),
             rotation: Up::PLUS_Z.upright(),
             upright: Up::PLUS_Z.upright(),
-            origin: [0.0; 3],
+            origin: scene.origin,
             remarks: Vec::new(),
         };
         if !settings.as_is {
@@ -201,10 +202,21 @@ impl Alignment {
             alignment.decide_frame(&mut sample, settings);
         }
         if let Some(floor) = settings.floor {
-            alignment.floors = Floors::given(floor * alignment.scale);
+            let height = floor - alignment.height_of_origin();
+            alignment.floors = Floors::given(height * alignment.scale);
         }
         alignment.remarks.sort_by_key(|remark| !remark.is_warning());
         alignment
+    }
+
+    /// Heights of the floors along up in the coordinates of the scene's file, its units, ascending.
+    pub fn floor_heights(&self) -> Vec<f64> {
+        let origin = self.height_of_origin();
+        self.floors.heights.iter().map(|height| height / self.scale + origin).collect()
+    }
+
+    fn height_of_origin(&self) -> f64 {
+        dot(self.upright[2], self.origin)
     }
 
     /// The rows by which the rest is judged, turned and scaled as far as is known.

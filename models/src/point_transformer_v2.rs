@@ -15,7 +15,9 @@
 
 use crate::layers::{BatchNorm, DropPath, Encoding, Linear, LinearNormRelu, batch_norm};
 use crate::neighborhood::{Neighborhood, Scale};
-use crate::stages::{DEEPEST, LARGEST, check_drop_path, check_fields, drop_rates, edge};
+use crate::stages::{
+    DEEPEST, LARGEST, channels_below, check_drop_path, check_fields, drop_rates, edge,
+};
 use crate::{Architecture, Backbone, BackboneCost, Compute, Forward, Mode, PointCloud, ops};
 use candle_core::{Device, Result, Tensor, bail};
 use candle_nn::VarBuilder;
@@ -141,8 +143,7 @@ impl PointTransformerV2Config {
             0 => self.patch_embed_channels,
             _ => self.enc_channels[stage - 1],
         };
-        let below = self.dec_channels.get(stage + 1).or(self.enc_channels.last());
-        (skip, below.copied().unwrap_or(0))
+        (skip, channels_below(&self.enc_channels, &self.dec_channels, stage))
     }
 
     fn encoder_input(&self, stage: usize) -> usize {

@@ -144,6 +144,11 @@ pub(crate) fn has(shapes: &Shapes, name: &str, shape: &[usize]) -> bool {
     shapes.get(name).is_some_and(|s| s == shape)
 }
 
+/// Channels of the rows that come up to a decoder stage, of the channels of both halves.
+pub(crate) fn channels_below(enc: &[usize], dec: &[usize], stage: usize) -> usize {
+    dec.get(stage + 1).or(enc.last()).copied().unwrap_or(0)
+}
+
 /// Whether the first layer, the pooling and the unpooling of a checkpoint are those of scales with these channels,
 /// those of the encoder and of the decoder, and there are no more; and its blocks, as `blocks` says of a half
 /// (`"enc"` or `"dec"`) and the number of a stage.
@@ -155,13 +160,12 @@ pub(crate) fn has_scales(
 ) -> bool {
     let down = |s: usize| format!("enc.enc{s}.down.proj.weight");
     let up = |s: usize, part: &str| format!("dec.dec{s}.up.{part}.0.weight");
-    let below = |s: usize| dec.get(s + 1).or(enc.last()).copied().unwrap_or(0);
     let encoder = (0..enc.len())
         .all(|s| blocks("enc", s) && (s == 0 || has(shapes, &down(s), &[enc[s], enc[s - 1]])));
     let decoder = (0..dec.len()).all(|s| {
         blocks("dec", s)
             && has(shapes, &up(s, "proj_skip"), &[dec[s], enc[s]])
-            && has(shapes, &up(s, "proj"), &[dec[s], below(s)])
+            && has(shapes, &up(s, "proj"), &[dec[s], channels_below(enc, dec, s)])
     });
     let more =
         shapes.contains_key(&down(enc.len())) || shapes.contains_key(&up(dec.len(), "proj_skip"));

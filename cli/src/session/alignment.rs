@@ -88,8 +88,8 @@ impl Session<'_> {
             }
         }
         let floors = &alignment.floors;
-        let shown: Vec<String> =
-            floors.heights.iter().map(|h| format!("{:.2}", h / alignment.scale)).collect();
+        let heights = alignment.floor_heights();
+        let shown: Vec<String> = heights.iter().map(|height| format!("{height:.2}")).collect();
         let heights = shown.join(", ");
         let percent = |share: f64| format!("{:.0} %", 100.0 * share);
         let why = match (floors.given, floors.has_plane()) {

@@ -3,7 +3,7 @@
 use super::Session;
 use crate::flags::PreviewArgs;
 use crate::receipt::WrittenFile;
-use crate::terminal::print;
+use crate::terminal::{print, write_text};
 use anyhow::{Context, Result};
 use scenesplat::memory::Bytes;
 use scenesplat::outputs::{OpenedScene, write_scene_preview};
@@ -26,7 +26,7 @@ impl Session<'_> {
 
     /// Writes a text file of the output folder.
     pub fn write_text(&self, name: &str, text: &str) -> Result<()> {
-        self.write(name, |path| std::fs::write(path, text))
+        self.write(name, |path| write_text(path, text))
     }
 
     /// Writes one value for each row of the scene's file, `fill` for those that were left out.

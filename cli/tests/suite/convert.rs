@@ -9,10 +9,17 @@ use std::path::Path;
 const TARGETS: [&str; 8] =
     ["a.ply", "a.compressed.ply", "a.spz", "a.splat", "a.glb", "a.sog", "sog/meta.json", "folder"];
 
-/// The largest difference between two lists of positions, on one axis.
+/// The largest difference between two lists of positions, on one axis: infinite where only one is no number.
 fn apart(a: &[[f32; 3]], b: &[[f32; 3]]) -> f32 {
     assert_eq!(a.len(), b.len());
-    a.iter().flatten().zip(b.iter().flatten()).map(|(a, b)| (a - b).abs()).fold(0.0, f32::max)
+    let pairs = a.iter().flatten().zip(b.iter().flatten());
+    // `f32::max` passes NaN over.
+    let between = |(a, b): (&f32, &f32)| match (a - b).abs() {
+        _ if a.to_bits() == b.to_bits() => 0.0,
+        far if far.is_nan() => f32::INFINITY,
+        far => far,
+    };
+    pairs.map(between).fold(0.0, f32::max)
 }
 
 fn moved(scene: &GaussianScene, by: impl Fn([f32; 3]) -> [f32; 3]) -> Vec<[f32; 3]> {

@@ -49,6 +49,12 @@ fn probes_leave_the_network_as_it_is_and_stand_beside_two_others() {
     assert!(mlp["backbone"]["objects"].is_null());
     let decoder = report("--kind decoder --labels 10%");
     assert!(decoder["backbone"]["miou"].as_f64().unwrap() > 0.0);
+    // Rooms that are made for it.
+    let (file, few) = (folder.at("made.json"), "--kind linear --steps 2 --no-objects --quiet");
+    done(&run!("probe {model} synthetic:2:7 {few} --json {file}"));
+    let made = json(file);
+    assert_eq!(made["test_scenes"].as_array().unwrap().len(), 1);
+    assert!(made["backbone"]["miou"].as_f64().is_some_and(f64::is_finite), "{made}");
     assert_eq!(files(&model), before, "the model is what it was, bit for bit");
 }
 

@@ -24,7 +24,7 @@ fn a_run_leaves_what_it_promises_and_its_weights_work() {
     has(&stderr(&again("--resume --seed 5")), &["seed was 0 and is 5"]);
     let (names, labels) = (folder.names(), folder.at("labels"));
     let words = format!("--weights {out}/model --text-names {names} --out {labels}");
-    done(&run!("evaluate {} {words}", folder.room("unseen.ply", 3000, 3)));
+    done(&run!("evaluate synthetic:1:3 {words}"));
 }
 
 /// A tiny student of the network inside the program.
@@ -99,9 +99,7 @@ fn a_student_learns_from_a_teacher() {
     has(first["teacher"]["content"].as_str().unwrap(), &["sha256"]);
     // A student is a network like any other.
     let (model, out) = (folder.at("one/model"), folder.at("labels"));
-    let (room, names) = (folder.room("unseen.ply", 3000, 3), folder.names());
-    let words = format!("--weights {model} --text vocabulary --label-names {names}");
-    done(&run!("evaluate {room} {words} --out {out}"));
+    done(&run!("evaluate synthetic:1:3 --weights {model} --text vocabulary --out {out}"));
 }
 
 #[test]

@@ -4,8 +4,8 @@ use super::LitePt;
 use super::attention::AttentionShape;
 use super::block::{BlockKind, BlockShape};
 use crate::stages::{
-    DEEPEST, LARGEST, MAX_MLP_RATIO, check_fields, check_length, check_rates, curves, drop_rates,
-    each_block, falling_drop_rates, stem_inputs,
+    DEEPEST, LARGEST, MAX_MLP_RATIO, channels_below, check_fields, check_length, check_rates,
+    curves, drop_rates, each_block, falling_drop_rates, stem_inputs,
 };
 use crate::weights::Shapes;
 use crate::{Architecture, Backbone, BackboneCost, Compute, MultiplyAdds};
@@ -168,7 +168,7 @@ impl LitePtConfig {
 
     /// Channels of the rows that come up to a decoder stage.
     pub(super) fn channels_below(&self, stage: usize) -> usize {
-        self.dec_channels.get(stage + 1).or(self.enc_channels.last()).copied().unwrap_or(0)
+        channels_below(&self.enc_channels, &self.dec_channels, stage)
     }
 
     /// Whether any block at this scale attends.

@@ -6,8 +6,8 @@ use super::block::BlockShape;
 use crate::architecture::NO_LAST_STAGE;
 use crate::params::check_values;
 use crate::stages::{
-    DEEPEST, LARGEST, MAX_MLP_RATIO, check_fields, check_rates, curves, drop_rates, each_block,
-    falling_drop_rates, stem_inputs,
+    DEEPEST, LARGEST, MAX_MLP_RATIO, channels_below, check_fields, check_rates, curves, drop_rates,
+    each_block, falling_drop_rates, stem_inputs,
 };
 use crate::weights::Shapes;
 use crate::{Architecture, Backbone, BackboneCost, Compute, LastStage, MultiplyAdds, Shortcuts};
@@ -214,13 +214,9 @@ impl PointTransformerV3Config {
             finer = Some(c);
         }
         for (stage, (&c, &depth)) in self.dec_channels.iter().zip(&self.dec_depths).enumerate() {
-            let coarse = self.dec_channels.get(stage + 1).or(self.enc_channels.last());
+            let coarse = channels_below(&self.enc_channels, &self.dec_channels, stage);
             let skip = self.enc_channels.get(stage).copied().unwrap_or(0);
-            let up = [
-                linear(coarse.copied().unwrap_or(0), c),
-                linear(skip, c),
-                norm(c).saturating_mul(2),
-            ];
+            let up = [linear(coarse, c), linear(skip, c), norm(c).saturating_mul(2)];
             all = sum(&[all, product(&[depth, block(c)]), sum(&up)]);
         }
         all

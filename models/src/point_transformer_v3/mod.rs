@@ -27,6 +27,7 @@ pub use pooling::SerializedPooling;
 pub use unpooling::{SerializedUnpooling, Unpooled};
 
 use crate::row_order::{OrderShuffle, SortedRows, enter, leave, morton_rows};
+use crate::stages::channels_below;
 use crate::{
     Architecture, Backbone, BackboneCost, Calibrated, Compute, Forward, LastStage, Level,
     LevelOptions, Levels, Mode, PointCloud, Shortcuts, ops,
@@ -143,9 +144,8 @@ impl PointTransformerV3 {
         let mut decoder = Vec::new();
         for (stage, shapes) in config.decoder_blocks().iter().enumerate() {
             let vb = vb.pp(format!("dec.dec{stage}"));
-            let coarse = config.dec_channels.get(stage + 1).or(channels.last());
             let up = SerializedUnpooling::new(
-                coarse.copied().unwrap_or(0),
+                channels_below(channels, &config.dec_channels, stage),
                 channels[stage],
                 config.dec_channels[stage],
                 compute,

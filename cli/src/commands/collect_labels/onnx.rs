@@ -32,7 +32,7 @@ pub(super) fn segments(session: &Session<'_>, args: &Args) -> Result<Box<dyn Seg
 /// What `--features onnx` asks for.
 #[cfg(feature = "onnx")]
 pub(super) fn features(session: &Session<'_>, args: &Args) -> Result<Box<dyn PictureEncoder>> {
-    let flag = "--features onnx needs --onnx-features, the ONNX file of a picture encoder; color needs no weights";
+    let flag = "--features onnx needs --onnx-features, the ONNX file of a picture encoder; colour needs no weights";
     let path = args.onnx_features.as_ref().ok_or_else(|| WrongUse(flag.to_owned()))?;
     session.outputs.reads(path)?;
     session.receipt.fingerprint("onnx features", path)?;

@@ -85,7 +85,7 @@ pub struct LiftArgs {
     /// itself (1 % and two standard deviations), or a folder of FRAME.npy, [H, W], 0 = unknown (3 %
     /// and 0.05 units); `auto` does what `render` does if up to 16 of the pictures, spread evenly, show
     /// in the first level that it leaves out wrong labels and keeps half of the weight (`off`
-    /// with the rule center-pixel).
+    /// with the rule centre-pixel).
     #[arg(
         long,
         value_name = "auto|off|render|DIR",

@@ -1,5 +1,6 @@
 //! A room with its classes, for the tests of commands: made once per run, in a folder of its own.
 
+use super::Folder;
 use scenesplat::rooms::{CLASSES, RoomKind, SyntheticRoomSettings, generate};
 use scenesplat::scene::formats::inria_ply::write_inria_ply;
 use scenesplat::scene::{GaussianScene, ReadOptions, TextTable, open_scene};
@@ -14,16 +15,16 @@ pub const GAUSSIANS: usize = 16_000;
 /// A file of the demo scene: `room.ply` has labels, `classes.safetensors` its classes under the tiny
 /// network with the weights `seeded:0`.
 pub fn asset(name: &str) -> PathBuf {
-    static FOLDER: OnceLock<tempfile::TempDir> = OnceLock::new();
+    static FOLDER: OnceLock<Folder> = OnceLock::new();
     let folder = FOLDER.get_or_init(|| {
-        let folder = tempfile::tempdir().unwrap();
-        let room = folder.path().join("room.ply");
+        let folder = Folder::lasting();
+        let room = folder.path("room.ply");
         write_inria_ply(&room_scene(), &[], &room).unwrap();
         let room = open_scene(&room, &ReadOptions::default()).unwrap().scene;
-        write_classes(&class_rows(&room), &folder.path().join("classes.safetensors"));
+        write_classes(&class_rows(&room), &folder.path("classes.safetensors"));
         folder
     });
-    folder.path().join(name)
+    folder.path(name)
 }
 
 /// An [`asset`] as a word of a command line.

@@ -85,7 +85,7 @@ pub fn train(folder: &Folder, name: &str, experiment: &str) -> String {
 pub fn student() -> &'static Folder {
     static FOLDER: OnceLock<Folder> = OnceLock::new();
     FOLDER.get_or_init(|| {
-        let folder = Folder::new();
+        let folder = Folder::lasting();
         train(&folder, "student", &self_supervised(&masked_network().to_string(), "", TERMS));
         folder
     })

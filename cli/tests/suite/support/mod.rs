@@ -2,42 +2,20 @@
 
 mod demo_scene;
 mod experiments;
+mod in_process;
 
 pub use demo_scene::{asset, asset_at, class_names};
 pub use experiments::*;
+pub use in_process::scenesplat;
 use scenesplat::rooms::{SyntheticRoomSettings, generate};
 use scenesplat::scene::formats::cameras::write_cameras_json;
 use scenesplat::scene::formats::inria_ply::write_inria_ply;
 use scenesplat::scene::formats::npy::NpyFile;
 use scenesplat::scene::{Camera, Distortion, GaussianScene, ReadOptions, open_scene};
 use serde_json::Value;
-use std::ffi::OsString;
-#[cfg(unix)]
-use std::os::unix::process::ExitStatusExt;
-#[cfg(windows)]
-use std::os::windows::process::ExitStatusExt;
 use std::path::{Path, PathBuf};
-use std::process::{Command, ExitStatus, Output};
-
-/// Runs the program in this process, on as many threads as it is told to take. Pictures are small unless it says a
-/// size.
-pub fn scenesplat(args: &[&str]) -> Output {
-    let given = args.iter().position(|arg| *arg == "--threads").and_then(|at| args.get(at + 1));
-    let threads = given.and_then(|n| n.parse().ok()).filter(|n| (1..=8).contains(n)).unwrap_or(0);
-    let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).stack_size(8 << 20);
-    let draws = args.first().is_some_and(|command| WITH_PICTURE.contains(command));
-    let small = draws && !args.iter().any(|arg| arg.starts_with("--preview-size"));
-    let words = ["scenesplat"].iter().chain(args).chain(small.then_some(&SMALL_PICTURE));
-    let words = words.map(OsString::from);
-    // A pool of its own: waiting for a part of its work, a command must not begin another command.
-    let (code, said) = pool.build().unwrap().install(|| scenesplat_cli::run_captured(words));
-    let status = i32::from(code);
-    #[cfg(unix)]
-    let status = ExitStatus::from_raw(status << 8);
-    #[cfg(windows)]
-    let status = ExitStatus::from_raw(status as u32);
-    Output { status, stdout: said.stdout, stderr: said.stderr }
-}
+use std::process::{Command, Output};
+use std::sync::{Mutex, PoisonError};
 
 /// Runs a command line in this process: words between spaces, or between single quotes.
 pub fn line(line: &str) -> Output {
@@ -215,6 +193,20 @@ impl Folder {
     /// An empty one.
     pub fn new() -> Self {
         Self(tempfile::tempdir().unwrap())
+    }
+
+    /// One that goes when the process ends: what is static is never dropped.
+    pub fn lasting() -> Self {
+        static ALL: Mutex<Vec<PathBuf>> = Mutex::new(Vec::new());
+        extern "C" fn remove() {
+            let all = std::mem::take(&mut *ALL.lock().unwrap_or_else(PoisonError::into_inner));
+            all.iter().for_each(|path| drop(std::fs::remove_dir_all(path)));
+        }
+        let folder = Self::new();
+        ALL.lock().unwrap().push(folder.root().to_owned());
+        // SAFETY: the function may run at the end of the process, for what it uses is static.
+        assert_eq!(unsafe { libc::atexit(remove) }, 0);
+        folder
     }
 
     /// Where a file of it is.

@@ -396,16 +396,28 @@ fn folders_are_recognised() {
     std::fs::write(&other, "ply").unwrap();
     assert!(open_cameras(&other).unwrap_err().to_string().contains("no file of cameras"));
     // Sizes from the picture, whose name lacks its ending, as in Blender's scenes.
-    let png = b"\x89PNG\r\n\x1a\n\0\0\0\x0dIHDR\0\0\x03\x20\0\0\x02\x58";
     std::fs::create_dir(root.join("train")).unwrap();
-    std::fs::write(root.join("train/r_0.png"), png).unwrap();
     let mut blender = json!({"camera_angle_x": 0.8, "frames": [{"file_path": "./train/r_0",
         "transform_matrix": [[1, 0, 0, 1], [0, 1, 0, 2], [0, 0, 1, 3], [0, 0, 0, 1]]}]});
     let path = root.join("transforms_train.json");
     std::fs::write(&path, blender.to_string()).unwrap();
-    let camera = &open_cameras(&path).unwrap().cameras[0];
-    assert_eq!((camera.width, camera.height, camera.cx), (800, 600, 400.0));
-    assert!((camera.fx - 400.0 / 0.4f64.tan()).abs() < 1e-9 && camera.fx == camera.fy);
+    let png = b"\x89PNG\r\n\x1a\n\0\0\0\x0dIHDR\0\0\x03\x20\0\0\x02\x58";
+    // A segment of another kind, filling, and the frame of a progressive picture.
+    let jpeg = b"\xff\xd8\xff\xe0\0\x04ab\xff\xff\xc2\0\x11\x08\x02\x58\x03\x20\x03\
+        \x01\x22\0\x02\x11\x01\x03\x11\x01";
+    for (ending, head) in [("png", &png[..]), ("jpg", &jpeg[..])] {
+        let picture = root.join(format!("train/r_0.{ending}"));
+        for cut in 0..head.len() {
+            std::fs::write(&picture, &head[..cut]).unwrap();
+            assert!(open_cameras(&path).is_err(), "{ending} cut at {cut}");
+        }
+        std::fs::write(&picture, head).unwrap();
+        let camera = &open_cameras(&path).unwrap().cameras[0];
+        assert_eq!((camera.width, camera.height, camera.cx), (800, 600, 400.0), "{ending}");
+        assert!((camera.fx - 400.0 / 0.4f64.tan()).abs() < 1e-9 && camera.fx == camera.fy);
+        std::fs::remove_file(&picture).unwrap();
+    }
+    std::fs::write(root.join("train/r_0.png"), png).unwrap();
     blender["frames"][0]["file_path"] = json!("../train/r_0");
     std::fs::write(&path, blender.to_string()).unwrap();
     assert!(open_cameras(&path).unwrap_err().to_string().contains("no w and h"));

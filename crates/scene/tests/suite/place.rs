@@ -11,7 +11,7 @@ use scenesplat_scene::formats::labelled_ply::read_labelled_ply;
 use scenesplat_scene::formats::ply::PlyFile;
 use scenesplat_scene::value_policy::Rule;
 use scenesplat_scene::{
-    Camera, Distortion, GaussianScene, LabelledPoints, LoadedScene, Policy, ReadOptions, UpAxis,
+    Camera, Distortion, GaussianScene, LabelledPoints, LoadedScene, Policy, ReadOptions, Up,
     open_cameras, open_scene,
 };
 use serde_json::json;
@@ -404,7 +404,7 @@ fn turns_scales_and_leveling_are_about_the_file_s_zero() {
     let due: Vec<[f64; 3]> = exact.iter().map(turn).collect();
     assert!(worst(&positions(&turned), &due) < 1e-6);
     // Level: the floor comes to z = 0, wherever the survey has it.
-    let up = Some(UpSource::Given(UpAxis::PlusZ));
+    let up = Some(UpSource::Given(Up::PLUS_Z));
     let edit = SceneEdit { up, level: true, ..SceneEdit::default() };
     let (level, report) = edit.apply(scene).unwrap();
     assert!(report.level.unwrap().floor > 200.0);

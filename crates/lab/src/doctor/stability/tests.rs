@@ -36,6 +36,23 @@ fn short_trainings_pass() {
     assert_eq!((back.runs.len(), back.failed), (24, 0));
 }
 
+#[test]
+fn recipes_without_labels_are_other_trainings() {
+    let folder = tempfile::tempdir().unwrap();
+    let recipes = vec![StabilityRecipe::SelfDistillation, StabilityRecipe::SimDinoRows];
+    let settings = StabilitySettings { steps: 2, seeds: vec![1], recipes };
+    let report = stability(&settings, folder.path(), &mut |_, _| true).unwrap();
+    assert_eq!((report.runs.len(), report.gradients.len(), report.failed), (8, 0, 0), "{report}");
+    assert!(report.poison.is_none());
+    let text = report.to_string();
+    for name in ["self-distillation", "sim-dino-rows"] {
+        assert!(text.contains(name) && !text.contains("language"), "{text}");
+    }
+    // Another term is another training.
+    assert_ne!(report.runs[0].effective_rank, report.runs[4].effective_rank);
+    assert!(report.runs.iter().all(|run| run.width == 32 && run.effective_rank.unwrap() >= 1.0));
+}
+
 fn run_of(steps: u64, losses: &[f64], idle: u64, rank: f64, alarms: &[&str]) -> StabilityRun {
     let setup = Setup {
         recipe: StabilityRecipe::LanguagePretraining,
