@@ -28,7 +28,9 @@ impl Args {
         let origin = set.far_origin();
         let set = set.relative_to(origin);
         if origin != [0.0; 3] {
-            session.progress.say(format!("points are about {origin:?}: kept relative to that origin"));
+            session
+                .progress
+                .say(format!("points are about {origin:?}: kept relative to that origin"));
         }
         let folder = CaptureFolder {
             images: &self.images,

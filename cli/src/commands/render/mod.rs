@@ -60,9 +60,7 @@ pub fn run(args: &Args, line: &str) -> Result<()> {
     let prepared = prepare(&session, args, scene, &shots, effects.needs_depth())?;
     let (lost, empty) = draw(&session, args, &prepared, &shots.list, &mut effects)?;
     if !args.keeps_cameras() {
-        session.write("cameras.json", |path| {
-            cameras::write(&shots.list, origin, path)
-        })?;
+        session.write("cameras.json", |path| cameras::write(&shots.list, origin, path))?;
     }
     effects.tell(&session)?;
     if let Some(first) = empty.first() {
