@@ -27,6 +27,11 @@ impl Args {
         let set = open_cameras(&self.cameras)?;
         let origin = set.far_origin();
         let set = set.relative_to(origin);
+        if origin != [0.0; 3] {
+            session
+                .progress
+                .say(format!("points are about {origin:?}: kept relative to that origin"));
+        }
         let folder = CaptureFolder {
             images: &self.images,
             depth: self.depth.as_deref(),

@@ -208,7 +208,7 @@ impl NpyFile {
     /// # Errors
     /// If there is not enough memory.
     pub fn read_f64(&self) -> Result<Vec<f64>, SceneError> {
-        self.read(Value::to_f64)
+        self.read(Value::widened)
     }
 
     /// Rows of three values less `origin`, subtracted in f64 and rounded once.
@@ -235,7 +235,7 @@ impl NpyFile {
                 None => row * 3 + column,
             };
             let bytes = &self.map.bytes()[self.data_start + at * size..][..size];
-            value(self.ty, bytes, self.big_endian).to_f64()
+            value(self.ty, bytes, self.big_endian).widened()
         })
     }
 
@@ -336,7 +336,7 @@ enum Value {
 }
 
 impl Value {
-    fn to_f64(self) -> f64 {
+    fn widened(self) -> f64 {
         match self {
             Self::Int(v) => v as f64,
             Self::UInt(v) => v as f64,

@@ -375,7 +375,7 @@ fn merged_scenes_keep_their_distance() {
     let (a, exact_a) = read_about(SURVEY);
     let (b, exact_b) = read_about([SURVEY[0] + 70.0, SURVEY[1] - 3.0, SURVEY[2]]);
     assert_ne!(a.scene.origin, b.scene.origin);
-    let (joined, report) = merge(vec![a.scene.clone(), b.scene.clone()]).unwrap();
+    let (joined, report) = merge(vec![a.scene.clone(), b.scene]).unwrap();
     let exact = [exact_a.clone(), exact_b].concat();
     assert!(worst(&positions(&joined), &exact) < 1e-5);
     assert_eq!((joined.origin, &joined.coord[..ROWS]), (a.scene.origin, &a.scene.coord[..]));
