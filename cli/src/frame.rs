@@ -28,6 +28,7 @@ pub fn frame(session: &Session<'_>, opened: &OpenedScene, inference: &Inference)
         up: inference.up.unwrap_or(alignment.turned_from),
         upright: given.map_or_else(|| alignment.upright(), Up::upright),
         metres_per_unit: alignment.scale,
-        floor: inference.floor.map(|floor| floor * alignment.scale),
+        // Relative to the origin of the scene, as its positions are.
+        floor: inference.floor.map(|_| alignment.floors.heights[0]),
     }
 }

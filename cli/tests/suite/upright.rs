@@ -153,7 +153,7 @@ fn every_direction_is_found_and_drawn_upright() {
         world.lying(&lying, up, 1.0);
         let scene = world.0.at(&format!("{lying}.ply"));
         done(&run!("inspect '{scene}' --no-sheet --json '{file}'"));
-        assert_eq!(json(&file)["up"]["axis"], name);
+        assert_eq!(json(&file)["up"]["axis"], **name);
         let got = apart(&orbit(&lying, &format!("orbit {name}"), ""), &due);
         assert!(got < 2.0, "{name}: {got}");
     }

@@ -7,4 +7,5 @@ mod charts;
 pub mod compensation;
 pub mod doctor;
 pub mod pareto;
+pub mod poses;
 pub mod severity;

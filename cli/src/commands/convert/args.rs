@@ -48,9 +48,9 @@ pub struct Args {
     /// frame of their own, are converted by themselves, and refuse this.
     #[arg(long, value_name = "[FROM:]TO")]
     pub frame: Option<FrameChange>,
-    /// Turns the scene so that this direction of it becomes +z: +x, -x, +y, -y, +z, -z, or auto for
+    /// Turns the scene so that this direction of it becomes +z: +x, -x, +y, -y, +z, -z, X,Y,Z, or auto for
     /// the one that `inspect` finds.
-    #[arg(long, value_name = "AXIS|auto", value_parser = parse_up_source, allow_hyphen_values = true)]
+    #[arg(long, value_name = "AXIS|X,Y,Z|auto", value_parser = parse_up_source, allow_hyphen_values = true)]
     pub up: Option<UpSource>,
     /// Turns the scene so that its floor lies level at z = 0; which direction is up is found, or said
     /// by --up.

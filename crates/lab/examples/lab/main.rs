@@ -8,6 +8,7 @@
 //! | `embedded-assets` | folders of models, whose mean is taken; `SCENESPLAT_FURNITURE` |
 //! | `objects-of-rooms` | rooms (20), seed (2026) |
 //! | `picture-effects` | first room (200), rooms (8) |
+//! | `poses` | poses of each scene, `own` or `any` unit, scenes (files or `synthetic:SEED`) |
 //! | `room-edits` | rooms, seed, folder of a model (embedded), part of the names of lines (all) |
 //! | `self-supervised-terms` | experiment, steps (5), sums of terms (all) |
 
@@ -15,6 +16,7 @@ mod effect_thresholds;
 mod embedded_assets;
 mod objects_of_rooms;
 mod picture_effects;
+mod poses;
 mod room_edits;
 mod self_supervised_terms;
 
@@ -53,6 +55,7 @@ fn main() -> Result<()> {
         "embedded-assets" => embedded_assets::run(args),
         "objects-of-rooms" => objects_of_rooms::run(args),
         "picture-effects" => picture_effects::run(args),
+        "poses" => poses::run(args),
         "room-edits" => room_edits::run(args),
         "self-supervised-terms" => self_supervised_terms::run(args),
         _ => bail!("there is no measurement {name:?}"),

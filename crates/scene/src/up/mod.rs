@@ -19,7 +19,7 @@ pub use evidence::UpEvidence;
 use crate::GaussianScene;
 use crate::frame::{Matrix3, product};
 use glam::DVec3;
-use peaks::{Peak, peaks};
+use peaks::peaks;
 use serde::Serialize;
 use surface::Surface;
 
@@ -141,19 +141,19 @@ fn text(best: &UpEvidence, second: Up) -> String {
 }
 
 /// Directions of which one, or its opposite, may be up.
-fn directions(surface: &Surface, peaks: &[Peak], stated: Up) -> Vec<Up> {
+fn directions(surface: &Surface, peaks: &[DVec3], stated: Up) -> Vec<Up> {
     let mut found: Vec<DVec3> = Vec::new();
     let is_new = |found: &[DVec3], direction: DVec3| {
         let apart = APART.to_radians().cos();
         found.iter().all(|f| f.dot(direction).abs() <= apart)
     };
-    for peak in peaks {
-        found.push(plane::fullest_plane(surface, peak.normal).unwrap_or(peak.normal));
+    for &peak in peaks {
+        found.push(plane::fullest_plane(surface, peak).unwrap_or(peak));
     }
     // The floor may be hidden under furniture, or not captured.
     for (i, a) in peaks.iter().enumerate() {
         for b in &peaks[..i] {
-            let across = a.normal.cross(b.normal);
+            let across = a.cross(*b);
             if across.length() >= SQUARE.to_radians().cos() && is_new(&found, across.normalize()) {
                 found.push(across.normalize());
             }
@@ -179,13 +179,13 @@ fn exact(up: Up) -> Up {
 
 /// A frame whose third axis is a direction: that of the walls if there are any, else that of its turn
 /// upright.
-fn frame(up: Up, peaks: &[Peak]) -> Matrix3 {
+fn frame(up: Up, peaks: &[DVec3]) -> Matrix3 {
     let upright = up.upright();
     let z = DVec3::from(up.vector());
     let most_level = SQUARE.to_radians().sin();
-    let wall = peaks.iter().find(|p| p.normal.dot(z).abs() <= most_level);
+    let wall = peaks.iter().find(|p| p.dot(z).abs() <= most_level);
     let Some(wall) = wall else { return upright };
-    let x = (wall.normal - z * wall.normal.dot(z)).normalize();
+    let x = (*wall - z * wall.dot(z)).normalize();
     // Next to the turn upright, so that axes keep their order.
     let [first, second, _] = upright.map(DVec3::from);
     let angle = f64::atan2(x.dot(second), x.dot(first));

@@ -20,15 +20,6 @@ const LEAST_SHARE: f64 = 0.03;
 const CONES: [f64; 3] = [10.0, 6.0, 4.0];
 const ROUNDS: usize = 4;
 
-/// A direction that surface faces, from either side.
-#[derive(Debug, Clone, Copy)]
-pub(super) struct Peak {
-    /// Unit, of either sign.
-    pub(super) normal: DVec3,
-    /// Share of the surface that faces it.
-    pub(super) share: f64,
-}
-
 /// Normals of one sign, summed in cells of about four degrees.
 struct Cells(Vec<(DVec3, f64)>);
 
@@ -63,25 +54,25 @@ impl Cells {
     }
 }
 
-/// The peaks of a surface, the largest first.
-pub(super) fn peaks(surface: &Surface) -> Vec<Peak> {
+/// Directions that surface faces, from either side, the one with most surface first; unit, of either sign.
+pub(super) fn peaks(surface: &Surface) -> Vec<DVec3> {
     let cells = Cells::of(surface);
     let total: f64 = cells.0.iter().map(|c| c.1).sum();
     let mut held: Vec<(DVec3, f64)> = cells.0.iter().map(|c| (c.0, cells.about(c.0))).collect();
     // Stable: of equals the first cell wins.
     held.sort_by(|a, b| b.1.total_cmp(&a.1));
-    let mut found: Vec<Peak> = Vec::new();
+    let mut found: Vec<DVec3> = Vec::new();
     let apart = APART.to_radians().cos();
     for (direction, surface_about) in held {
         if surface_about < LEAST_SHARE * total || found.len() == MOST {
             break;
         }
-        if found.iter().any(|p| p.normal.dot(direction).abs() > apart) {
+        if found.iter().any(|p| p.dot(direction).abs() > apart) {
             continue;
         }
         let normal = sharpened(surface, direction);
-        if found.iter().all(|p| p.normal.dot(normal).abs() <= apart) {
-            found.push(Peak { normal, share: surface_about / total });
+        if found.iter().all(|p| p.dot(normal).abs() <= apart) {
+            found.push(normal);
         }
     }
     found
