@@ -21,6 +21,9 @@ const ROWS: usize = 50_000;
 /// What a point of a direction's score is worth in out-of-distribution score.
 const SCORE_WEIGHT: f64 = 4.0;
 
+/// By so much the best must lead; below it, and where the scene is strange in every direction, up stays open.
+const MARGIN: f64 = 0.3;
+
 /// How a scene is read in one direction.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Look {
@@ -55,14 +58,19 @@ pub fn judged(
     if !alignment.is_open() {
         return Ok(alignment);
     }
-    let looks = looks(encoder, familiar, scene, settings, &alignment.up, progress)?;
-    let best = looks.iter().min_by(|a, b| a.cost().total_cmp(&b.cost()));
-    let Some(best) = best else { return Ok(alignment) };
+    let mut looks = looks(encoder, familiar, scene, settings, &alignment.up, progress)?;
+    looks.sort_by(|a, b| a.cost().total_cmp(&b.cost()));
+    let margin = |best: &Look| looks.get(1).is_none_or(|next| next.cost() - best.cost() >= MARGIN);
+    let is_known = |best: &&Look| best.strangeness <= familiar.limit() && margin(best);
+    let Some(best) = looks.first().filter(is_known) else { return Ok(alignment) };
+    let each: Vec<String> = looks
+        .iter()
+        .map(|look| format!("{}: {:.1} ({:.2})", look.direction, look.strangeness, look.score))
+        .collect();
     let evidence = format!(
-        "{}; the network finds the scene least strange so ({:.1}), of {} directions",
+        "{}; the network decides by how strange the scene is to it, and by its shape: {}",
         alignment.up.evidence,
-        best.strangeness,
-        looks.len()
+        each.join(", ")
     );
     let up = UpGuess { direction: best.direction, evidence, ..alignment.up };
     Ok(Alignment::with_up(scene, settings, up, true))

@@ -122,7 +122,7 @@ fn wrong_use_is_said() {
         ("a.glb --frame LUF", 2, "converted to it when it is written"),
         ("a.ply --scale -1", 2, "above 0"),
         ("a.ply --rotate 1,2", 2, "three angles"),
-        ("a.ply --up z+", 2, "no axis"),
+        ("a.ply --up z+", 2, "no direction"),
         ("a.ply --crop 1,2,3", 2, "X0,Y0,Z0,X1,Y1,Z1"),
         ("a.ply --sample 0", 2, "100000"),
         ("a.ply --frame XYZ", 2, "RDF"),

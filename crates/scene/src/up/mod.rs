@@ -23,8 +23,11 @@ use peaks::peaks;
 use serde::Serialize;
 use surface::Surface;
 
-/// Within so many degrees a direction is that of an axis: capture and fit are not exacter.
-const EXACT: f64 = 0.1;
+/// Within so many degrees a direction is that of an axis: over a room they are half a voxel of the network, and rugs
+/// tilt a floor by half of them. By a plane these, or so many standard errors of its tilt; without one those.
+const EXACT: f64 = 0.3;
+const ERRORS: f64 = 3.0;
+const ROUGH: f64 = 1.0;
 
 /// A camera is seldom pitched by more degrees when a capture begins, so that up is within them of what
 /// its format calls up.
@@ -50,6 +53,8 @@ pub struct UpGuess {
     pub confidence: f64,
     /// Whether the user said so; then the confidence is 1.
     pub given: bool,
+    /// Whether what the file states agrees with the best direction, so that less confidence is enough.
+    pub agrees: bool,
     /// What speaks for it.
     pub evidence: String,
     /// All directions that were weighed, the best first; empty if given.
@@ -85,14 +90,16 @@ pub fn guess_up(scene: &GaussianScene, stated: StatedUp) -> UpGuess {
     let best = candidates[0];
     let second = candidates[1];
     let confidence = (best.score - second.score).clamp(0.0, 1.0);
-    let mut evidence = text(&best, second.direction);
-    let mut direction = best.direction;
+    let agrees = is_near(best.direction);
+    let evidence = text(&best, second.direction);
+    let direction = best.direction;
+    let mut guess = UpGuess { direction, confidence, given: false, agrees, evidence, candidates };
     if confidence < UpGuess::SURE {
-        let likely = candidates.iter().map(|c| c.direction).find(|up| is_near(*up));
-        direction = likely.unwrap_or(stated.direction);
-        evidence = format!("{evidence}; that is close, so {} decides", stated.source);
+        let likely = guess.candidates.iter().map(|c| c.direction).find(|up| is_near(*up));
+        guess.direction = likely.unwrap_or(stated.direction);
+        guess.evidence += &format!("; that is close, so {} decides", stated.source);
     }
-    UpGuess { direction, confidence, given: false, evidence, candidates }
+    guess
 }
 
 impl StatedUp {
@@ -107,13 +114,17 @@ impl Default for StatedUp {
 }
 
 impl UpGuess {
-    /// From this confidence on the scene itself decides. The least that ten furnished rooms have,
+    /// From this confidence on the scene decides by itself. The least that ten furnished rooms have,
     /// however they lie, is 0.29.
     pub const SURE: f64 = 0.25;
 
-    /// Whether the scene itself says so, or the user.
+    /// From this confidence on it is sure where what the file states agrees.
+    pub const SURE_IF_STATED: f64 = 0.15;
+
+    /// Whether the scene itself says so, or with the file, or the user.
     pub fn is_sure(&self) -> bool {
-        self.confidence >= Self::SURE
+        let least = if self.agrees { Self::SURE_IF_STATED } else { Self::SURE };
+        self.confidence >= least
     }
 
     /// The direction that the user names.
@@ -122,6 +133,7 @@ impl UpGuess {
             direction,
             confidence: 1.0,
             given: true,
+            agrees: true,
             evidence: "as given".to_owned(),
             candidates: Vec::new(),
         }
@@ -142,20 +154,24 @@ fn text(best: &UpEvidence, second: Up) -> String {
 
 /// Directions of which one, or its opposite, may be up.
 fn directions(surface: &Surface, peaks: &[DVec3], stated: Up) -> Vec<Up> {
-    let mut found: Vec<DVec3> = Vec::new();
-    let is_new = |found: &[DVec3], direction: DVec3| {
+    // With the degrees within which it may be an axis.
+    let mut found: Vec<(DVec3, f64)> = Vec::new();
+    let is_new = |found: &[(DVec3, f64)], direction: DVec3| {
         let apart = APART.to_radians().cos();
-        found.iter().all(|f| f.dot(direction).abs() <= apart)
+        found.iter().all(|f| f.0.dot(direction).abs() <= apart)
     };
     for &peak in peaks {
-        found.push(plane::fullest_plane(surface, peak).unwrap_or(peak));
+        found.push(match plane::fullest_plane(surface, peak) {
+            Some(plane) => (plane.normal, EXACT.max(ERRORS * plane.error)),
+            None => (peak, ROUGH),
+        });
     }
     // The floor may be hidden under furniture, or not captured.
     for (i, a) in peaks.iter().enumerate() {
         for b in &peaks[..i] {
             let across = a.cross(*b);
             if across.length() >= SQUARE.to_radians().cos() && is_new(&found, across.normalize()) {
-                found.push(across.normalize());
+                found.push((across.normalize(), ROUGH));
             }
         }
     }
@@ -165,16 +181,17 @@ fn directions(surface: &Surface, peaks: &[DVec3], stated: Up) -> Vec<Up> {
     for axis in axes.into_iter().take(if has_frame { 1 } else { 4 }) {
         let axis = DVec3::from(axis.vector());
         if is_new(&found, axis) {
-            found.push(axis);
+            found.push((axis, EXACT));
         }
     }
-    found.into_iter().filter_map(|v| Up::new(v.to_array())).map(exact).collect()
+    let up = |(v, within): (DVec3, f64)| Up::new(v.to_array()).map(|up| exact(up, within));
+    found.into_iter().filter_map(up).collect()
 }
 
-/// The axis, if the direction is that of one.
-fn exact(up: Up) -> Up {
-    let near = Up::AXES.into_iter().find(|axis| axis.degrees_from(up) <= EXACT);
-    near.unwrap_or(up)
+/// The axis, if the direction is within so many degrees of one.
+fn exact(up: Up, within: f64) -> Up {
+    let axis = up.nearest_axis();
+    if axis.degrees_from(up) <= within { axis } else { up }
 }
 
 /// A frame whose third axis is a direction: that of the walls if there are any, else that of its turn
