@@ -39,6 +39,9 @@ const APART: f64 = 20.0;
 /// What is at right angles to two peaks is a candidate if these are so, within so many degrees.
 const SQUARE: f64 = 10.0;
 
+/// What the file states is no direction to which so much less of the surface is level than to the best.
+const LEAST_LEVEL: f64 = 0.2;
+
 /// What it is worth that the file states a direction.
 const STATED_WEIGHT: f64 = 0.1;
 
@@ -95,9 +98,11 @@ pub fn guess_up(scene: &GaussianScene, stated: StatedUp) -> UpGuess {
     let direction = best.direction;
     let mut guess = UpGuess { direction, confidence, given: false, agrees, evidence, candidates };
     if confidence < UpGuess::SURE {
-        let likely = guess.candidates.iter().map(|c| c.direction).find(|up| is_near(*up));
-        guess.direction = likely.unwrap_or(stated.direction);
-        guess.evidence += &format!("; that is close, so {} decides", stated.source);
+        let may_be = |c: &&UpEvidence| is_near(c.direction) && c.level >= LEAST_LEVEL * best.level;
+        let stated_one = guess.candidates.iter().find(may_be);
+        guess.direction = stated_one.map_or(direction, |c| c.direction);
+        let who = if stated_one.is_some() { stated.source } else { "the best of them" };
+        guess.evidence += &format!("; that is close, so {who} decides");
     }
     guess
 }
