@@ -51,10 +51,6 @@ const ROOM_HEIGHTS: [f64; 2] = [1.8, 4.3];
 const LEAST_WHOLE_HEIGHT: f64 = 2.1;
 const USUAL_HEIGHT: f64 = 2.6;
 
-/// Share of the ground plan that the floor of a room covers at least, and sides that its walls close.
-const ROOM_COVER: f64 = 0.3;
-const ROOM_SIDES: usize = 2;
-
 /// What the user knows about a scene.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
 pub struct AlignmentSettings {
@@ -92,9 +88,6 @@ pub struct Alignment {
     pub yaw: f64,
     /// Floors of the scene as the network reads it, meters.
     pub floors: Floors,
-    /// Walls of the scene as it is upright; `None` if nobody looked.
-    #[serde(skip)]
-    walls: Option<Walls>,
     /// All turns together, and all but that about the vertical.
     #[serde(skip)]
     rotation: Matrix3,
@@ -186,7 +179,6 @@ impl Alignment {
             tilt: 0.0,
             yaw: 0.0,
             floors: Floors::given(0.0),
-            walls: None,
             rotation: Up::PLUS_Z.upright(),
             upright: Up::PLUS_Z.upright(),
             origin: scene.origin,
@@ -262,7 +254,6 @@ impl Alignment {
             return;
         }
         let walls = Walls::of(sample);
-        self.walls = Some(walls);
         if settings.square && walls.is_clear() && walls.yaw.abs() >= LEAST_YAW {
             self.yaw = walls.yaw;
             self.turn(&walls.squaring());
@@ -368,14 +359,6 @@ impl Alignment {
         self.remarks.iter().any(|remark| matches!(remark, Remark::UpUnclear { .. }))
     }
 
-    /// Whether the scene is built like a room, whatever is in it: it surely has an up, a floor, and walls along two
-    /// directions that close at least two of its sides.
-    pub fn is_room_like(&self) -> bool {
-        let has_floor = self.floors.cover >= ROOM_COVER;
-        let has_walls = self.walls.is_some_and(|w| w.is_clear() && w.closed >= ROOM_SIDES);
-        !self.is_open() && has_floor && has_walls
-    }
-
     /// All turns together: what brings +z up, the floor level and the walls along the axes, as far as
     /// something was done about them.
     pub fn rotation(&self) -> Matrix3 {
@@ -467,7 +450,6 @@ mod tests {
         let alignment = Alignment::of(&room, &AlignmentSettings::default());
         assert!(alignment.is_identity() && alignment.remarks.is_empty(), "{alignment:?}");
         assert!(matches!(alignment.apply(&room), Cow::Borrowed(_)));
-        assert!(alignment.is_room_like(), "{alignment:?}");
     }
 
     #[test]
@@ -556,7 +538,6 @@ mod tests {
         let alignment = Alignment::of(&ball(3000), &AlignmentSettings::default());
         assert!(alignment.is_identity());
         assert!(matches!(alignment.remarks[..], [Remark::UpUnclear { .. }]), "{alignment:?}");
-        assert!(!alignment.is_room_like(), "{alignment:?}");
         assert!(Alignment::of(&ball(50), &AlignmentSettings::default()).remarks.is_empty());
         assert!(Alignment::of(&ball(0), &AlignmentSettings::default()).is_identity());
     }

@@ -34,10 +34,7 @@ impl Session<'_> {
         };
         let [least, most] = familiar.rooms();
         let (limit, clear) = (familiar.limit(), familiar.clear_limit());
-        // What is built like a room is one that was captured in another way than the rooms of the training.
-        let is_room_like = features.alignment.as_ref().is_some_and(|a| a.is_room_like());
         let how = match found {
-            found if found > clear && is_room_like => Novelty::Some,
             found if found > clear => Novelty::Clear,
             found if found > limit => Novelty::Some,
             _ => Novelty::None,
@@ -46,10 +43,6 @@ impl Session<'_> {
             "rooms have {least:.1} to {most:.1}, strange is above {limit:.1}, clearly so above {clear:.1}"
         );
         self.receipt.setting("strangeness", format!("{found:.2}"), &why);
-        if found > clear && is_room_like {
-            let why = "floor and walls are those of a room, so that labels are kept though the scene is strange";
-            self.receipt.setting("built_like_a_room", "yes", why);
-        }
         if how > Novelty::None {
             self.warn(format!(
                 "this looks like nothing that the network inside the program was trained on (strangeness \
