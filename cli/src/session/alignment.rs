@@ -122,7 +122,9 @@ impl Session<'_> {
             (false, true) => "up in the scene, as given",
             (false, false) if alignment.judged => "up in the scene, by its shape and the network",
             (false, false) if up.is_sure() => "up in the scene, by its shape",
-            (false, false) => "up in the scene, as the convention of its format has it",
+            (false, false) => {
+                "up in the scene, open: by what its file states or else by its shape (see alignment)"
+            }
         };
         self.receipt.setting("up", up.direction, why);
         self.receipt.alignment(alignment.report());
@@ -194,8 +196,8 @@ fn text(remark: &Remark, given: bool) -> String {
              {by:.3} m per unit; files keep their unit (--unit m if these are metres)"
         ),
         Remark::UpUnclear { likely, confidence } => format!(
-            "WHICH WAY IS UP IS UNCLEAR (confidence {confidence:.2}): {likely} is taken, by the \
-             convention of the file's format, and most labels are lost if it is not; say it with --up AXIS or X,Y,Z"
+            "WHICH WAY IS UP IS UNCLEAR (confidence {confidence:.2}): {likely} is taken, \
+             and most labels are lost if it is not; say it with --up AXIS or X,Y,Z"
         ),
         Remark::UnitUnclear { likely, confidence } => {
             let unit = likely.symbol();
