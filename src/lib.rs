@@ -49,6 +49,7 @@ pub mod preview;
 pub mod principal;
 pub mod probe;
 pub mod query;
+pub mod recognition;
 pub mod reconstruction;
 pub mod setting;
 pub mod text;

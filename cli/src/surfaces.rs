@@ -64,6 +64,11 @@ pub struct Agreeing {
 }
 
 impl Agreeing {
+    /// The surfaces, if labels agree on any.
+    pub fn surfaces(&self) -> Option<&SceneSurfaces> {
+        self.surfaces.as_ref()
+    }
+
     /// As the library takes it.
     pub fn agreement(&self) -> Agreement<'_> {
         Agreement {

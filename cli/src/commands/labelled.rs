@@ -5,13 +5,15 @@ use crate::effects::{EffectArgs, Wish};
 use crate::error::{WrongUse, refuse};
 use crate::flags::Inference;
 use crate::frame::Frame;
-use crate::session::{FeatureSource, Novelty, Session};
+use crate::session::{FeatureSource, Session};
 use crate::setting::VOTE_K;
-use crate::surfaces::{Asked, SurfaceArgs};
+use crate::surfaces::{Agreeing, Asked, SurfaceArgs};
 use anyhow::{Context, Result};
 use scenesplat::labels::{self, label_agreeing_with_vote};
+use scenesplat::objects::surfaces::SceneSurfaces;
 use scenesplat::objects::{Catalogue, ObjectInput, ObjectSettings, find_objects};
 use scenesplat::outputs::OpenedScene;
+use scenesplat::recognition::{KNOWN, LEAST_SHARE, SURE};
 use scenesplat::scene::label_set::read_names;
 use scenesplat::scene::{LabelSet, ReadOptions, TextTable};
 use scenesplat::{Network, SceneFeatures};
@@ -34,8 +36,8 @@ pub struct Labelling {
     /// Whether surfaces have one label.
     #[command(flatten)]
     pub surfaces: SurfaceArgs,
-    /// What becomes of a scene that looks like nothing the network inside the program was trained on (a garden, a
-    /// bicycle): it is labeled all the same, or stays unknown. [default: auto]
+    /// What becomes of surfaces, or of a whole scene, that look like nothing the network inside the program was
+    /// trained on (a garden, a bicycle): they are labeled all the same, or stay unknown. [default: auto]
     #[arg(long, value_name = "WHAT")]
     pub strange: Option<Strange>,
     /// What is done about effects of the capture.
@@ -68,14 +70,17 @@ pub struct LabelArgs {
     pub labelling: Labelling,
 }
 
+/// A smaller share of a scene that stays unknown is only counted.
+const WORTH_A_WARNING: f64 = 0.02;
+
 /// Labels all the same, or none.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, clap::ValueEnum)]
 pub enum Strange {
-    /// No label where it is clearly strange, a warning where it is strange.
+    /// No label where a surface is probably strange; none at all where most of the scene is.
     Auto,
     /// The nearest class of each Gaussian, and a warning.
     Label,
-    /// No label where it is strange.
+    /// No label where a surface may be strange.
     Unknown,
 }
 
@@ -205,11 +210,15 @@ impl Labelling {
             ));
         }
         session.note_withheld(found.withhold(about.withheld()), "labels");
-        if self.is_left_out(session, &features, is_own)? {
-            let taken = found.withhold(&vec![true; found.labels.len()]);
-            let text = format!("{taken} labels are left out: the scene is strange");
-            session.receipt.setting("strange", "unknown", &text);
-            session.progress.say(text);
+        if let Some(strange) = self.strange_rows(session, &opened, &features, &agreeing, is_own)? {
+            let taken = found.withhold(&strange);
+            if taken > 0 {
+                let text = format!(
+                    "{taken} labels are left out: the network does not know what it sees there"
+                );
+                session.receipt.setting("strange", taken, &text);
+                session.progress.say(text);
+            }
         }
         session.check_stop()?;
         Ok(Labelled {
@@ -261,32 +270,55 @@ impl Labelling {
         Ok((opened, source, text))
     }
 
-    /// Whether the scene is so far from what the network was trained on that it gets no labels.
-    fn is_left_out(
+    /// The Gaussians that stay without a label because they look like nothing that the network was trained on.
+    fn strange_rows(
         &self,
         session: &Session<'_>,
+        opened: &OpenedScene,
         features: &SceneFeatures,
+        agreeing: &Agreeing,
         is_own: bool,
-    ) -> Result<bool> {
-        let least = match self.strange.unwrap_or(Strange::Auto) {
-            Strange::Auto => Some(Novelty::Clear),
-            Strange::Unknown => Some(Novelty::Some),
-            Strange::Label => None,
+    ) -> Result<Option<Vec<bool>>> {
+        if !is_own {
+            return Ok(None);
+        }
+        let strange = self.strange.unwrap_or(Strange::Auto);
+        let surfaces = agreeing.surfaces().map(SceneSurfaces::largest);
+        let Some(found) = session.recognize(opened, &self.inference, features, surfaces)? else {
+            if self.strange == Some(Strange::Unknown) {
+                refuse!(
+                    "--strange unknown: these features, or so few Gaussians, do not tell how strange the scene is; leave it \
+                     out, or the codes"
+                );
+            }
+            return Ok(None);
         };
-        let is_left_out = |how: Novelty| least.is_some_and(|least| how >= least);
-        let how = match is_own {
-            false => None,
-            true => session.novelty(features, |how| match is_left_out(how) {
-                true => "all labels are left out; --strange label keeps them, as guesses",
-                false => "its labels are guesses; --strange unknown leaves them out",
-            })?,
-        };
-        if how.is_none() && self.strange == Some(Strange::Unknown) {
-            refuse!(
-                "--strange unknown: these features do not tell how strange the scene is; leave it out, or the codes"
+        let least = if strange == Strange::Unknown { SURE } else { KNOWN };
+        let share = found.share(least);
+        let is_strange = share < LEAST_SHARE;
+        let unknown = if is_strange { 1.0 } else { 1.0 - share };
+        if strange == Strange::Label {
+            if unknown >= WORTH_A_WARNING {
+                session.warn_strange(
+                    unknown,
+                    "its labels are guesses; without --strange label they are left out",
+                );
+            }
+            return Ok(None);
+        }
+        if is_strange {
+            session.warn_strange(
+                unknown,
+                "all labels are left out; --strange label keeps them, as guesses",
+            );
+        } else if unknown >= WORTH_A_WARNING {
+            session.warn_strange(
+                unknown,
+                "those labels are left out; --strange label keeps them, as guesses",
             );
         }
-        Ok(how.is_some_and(is_left_out))
+        let is_left_out = |p: &f32| is_strange || *p < least;
+        Ok(Some(found.probability.iter().map(is_left_out).collect()))
     }
 }
 

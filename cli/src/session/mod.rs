@@ -6,8 +6,8 @@
 mod alignment;
 mod encode;
 mod network;
-mod novelty;
 mod open;
+mod recognition;
 mod write;
 
 use crate::budget::Chosen;
@@ -16,7 +16,6 @@ use crate::outputs::Outputs;
 use crate::progress::{Progress, interrupted};
 use crate::receipt::Receipt;
 use anyhow::Result;
-pub use novelty::Novelty;
 pub use open::FeatureSource;
 use scenesplat::alignment::Alignment;
 use scenesplat::inference::EncodeError;

@@ -8,4 +8,5 @@ pub mod compensation;
 pub mod doctor;
 pub mod pareto;
 pub mod poses;
+pub mod recognition;
 pub mod severity;

@@ -82,6 +82,12 @@ pub struct SceneSurfaces {
 }
 
 impl SceneSurfaces {
+    /// Those of the largest scale.
+    pub fn largest(&self) -> &Surfaces {
+        // Settings have a scale at least.
+        &self.scales[self.scales.len() - 1]
+    }
+
     /// How much surface there is of each thing, square meters: that of its cells, of which each thing in one has
     /// its part by Gaussians. `thing`: of each Gaussian, which below `count`, or −1. About the same for sparse and
     /// dense scenes: a cell stands for what is between it and its neighbors, up to 12.5 cm away for cells of 5 cm.

@@ -13,6 +13,7 @@ pub use args::Args;
 use asked::query;
 use scenesplat::outputs::OpenedScene;
 use scenesplat::query::{Query, QuerySettings, select};
+use scenesplat::recognition::{KNOWN, LEAST_SHARE};
 use scenesplat::scene::LabelSet;
 use scenesplat_lab::compensation::Consumer;
 use write::{describe, write};
@@ -48,7 +49,10 @@ pub fn run(args: &Args, line: &str) -> Result<()> {
     let about = session.compensation(&wish, &opened, &args.inference, consumer)?;
     let features = session.features(&opened, &source, &args.inference, &about)?;
     if source.is_network() && args.inference.network.is_embedded() {
-        session.novelty(&features, |_| "what is found is a guess")?;
+        let known = session.recognize(&opened, &args.inference, &features, None)?;
+        if let Some(known) = known.filter(|known| known.share(KNOWN) < LEAST_SHARE) {
+            session.warn_strange(1.0 - known.share(KNOWN), "what is found is a guess");
+        }
     }
 
     session.receipt.setting("vote_k", vote_k, "neighbors that vote on the selection");

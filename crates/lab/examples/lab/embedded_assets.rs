@@ -1,5 +1,5 @@
 //! Makes the files of the network inside the program from trained runs (of several: from the mean of their weights), and fits where the features of rooms lie, at
-//! which temperature cosines are probabilities, and how much surface things have. The catalogue of furniture is
+//! which temperature cosines are probabilities, how much surface things have, and what tells rooms from other scenes. The catalogue of furniture is
 //! that of `SCENESPLAT_FURNITURE`.
 
 use crate::Arguments;
@@ -71,12 +71,12 @@ pub fn run(args: Arguments) -> anyhow::Result<()> {
     })?;
     println!("strangeness of {} rooms: {found:.2?}", found.len());
     let familiar = familiar.with_rooms(&found, hash.clone());
-    let limits = (familiar.limit(), familiar.clear_limit());
-    println!("rooms {:.2?}, limits {limits:.2?}", familiar.rooms());
+    println!("rooms {:.2?}, limit {:.2}", familiar.rooms(), familiar.limit());
     let path = assets.join("familiarity.safetensors");
     std::fs::write(&path, familiar.to_safetensors()?)?;
     println!("wrote {}", path.display());
-    calibrate(&network, hash, &assets)
+    calibrate(&network, hash.clone(), &assets)?;
+    crate::recognition::write(&network, hash, &assets)
 }
 
 /// Weights of one network, or the mean of those of several with the same names and shapes; counters are the first one's.

@@ -9,6 +9,7 @@
 //! | `objects-of-rooms` | rooms (20), seed (2026) |
 //! | `picture-effects` | first room (200), rooms (8) |
 //! | `poses` | poses of each scene, `own` or `any` unit, scenes (files or `synthetic:SEED`) |
+//! | `recognition` | `fit`, or scenes: `+FILE` for a room, `-FILE` for what is none, `@N` for N parts of it |
 //! | `room-edits` | rooms, seed, folder of a model (embedded), part of the names of lines (all) |
 //! | `self-supervised-terms` | experiment, steps (5), sums of terms (all) |
 
@@ -17,6 +18,7 @@ mod embedded_assets;
 mod objects_of_rooms;
 mod picture_effects;
 mod poses;
+mod recognition;
 mod room_edits;
 mod self_supervised_terms;
 
@@ -56,6 +58,7 @@ fn main() -> Result<()> {
         "objects-of-rooms" => objects_of_rooms::run(args),
         "picture-effects" => picture_effects::run(args),
         "poses" => poses::run(args),
+        "recognition" => recognition::run(args),
         "room-edits" => room_edits::run(args),
         "self-supervised-terms" => self_supervised_terms::run(args),
         _ => bail!("there is no measurement {name:?}"),

@@ -10,11 +10,13 @@ mod direction;
 mod evidence;
 mod peaks;
 mod plane;
+mod squareness;
 mod surface;
 
 pub use direction::Up;
 pub(crate) use direction::shortest_to_z;
 pub use evidence::UpEvidence;
+pub use squareness::squareness;
 
 use crate::GaussianScene;
 use crate::frame::{Matrix3, product};

@@ -6,7 +6,7 @@ use crate::singular_values::singular_values;
 use crate::vector::rotation;
 use crate::{GaussianScene, gaussian_scene::sigmoid};
 use glam::DVec3;
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 
 /// Rows that are looked at.
 const SAMPLE: usize = 200_000;
@@ -27,6 +27,11 @@ const CELL: f64 = 1.0 / 64.0;
 /// Fewest rows of a plane, and how much thinner than wide they must lie.
 const FEWEST_ON_PLANE: f64 = 8.0;
 const THIN: f64 = 0.3;
+
+/// Where fewer rows than these are in a cell, in the mean of those that hold any, cells are taken larger, up to this
+/// side.
+const FEWEST_IN_CELL: f64 = 2.0;
+const COARSEST: f64 = 1.0 / 16.0;
 
 /// A piece of surface.
 #[derive(Debug, Clone, Copy)]
@@ -49,13 +54,43 @@ pub(super) struct Surface {
 }
 
 impl Surface {
-    /// Looks at a scene; without any finite row there are no pieces.
+    /// Looks at a scene; without any finite row there are no pieces. Normals are those of flat Gaussians, or, where
+    /// few are flat, of planes through neighbors.
     pub(super) fn of(scene: &GaussianScene) -> Self {
+        let mut surface = Self::of_places(scene, piece);
+        let flat = surface.flat().count() as f64;
+        if flat < FEWEST_FLAT * surface.pieces.len() as f64 {
+            fit_planes(&mut surface.pieces, CELL * surface.size);
+        }
+        cap(&mut surface.pieces);
+        surface
+    }
+
+    /// As [`of`](Self::of), with the normals of planes through neighbors, however Gaussians lie.
+    pub(super) fn of_planes(scene: &GaussianScene) -> Self {
+        let round = |_: &GaussianScene, _, place| Piece { place, normal: DVec3::ZERO, area: 0.0 };
+        let mut surface = Self::of_places(scene, round);
+        let mut side = CELL * surface.size;
+        // Sparse scenes have no plane in small cells.
+        while side < COARSEST * surface.size
+            && rows_of_a_cell(&surface.pieces, side) < FEWEST_IN_CELL
+        {
+            side *= 2.0;
+        }
+        fit_planes(&mut surface.pieces, side);
+        cap(&mut surface.pieces);
+        surface
+    }
+
+    fn of_places(
+        scene: &GaussianScene,
+        piece: impl Fn(&GaussianScene, usize, DVec3) -> Piece,
+    ) -> Self {
         let Some((middle, reach)) = middle(scene) else {
             return Self { pieces: Vec::new(), size: 0.0 };
         };
         let step = scene.len().div_ceil(SAMPLE).max(1);
-        let mut pieces: Vec<Piece> = (0..scene.len())
+        let pieces: Vec<Piece> = (0..scene.len())
             .step_by(step)
             .filter_map(|row| {
                 let place = DVec3::from(scene.coord[row].map(f64::from)) - middle;
@@ -64,11 +99,6 @@ impl Surface {
             })
             .collect();
         let size = size(&pieces);
-        let flat = pieces.iter().filter(|p| p.area > 0.0).count() as f64;
-        if flat < FEWEST_FLAT * pieces.len() as f64 {
-            fit_planes(&mut pieces, CELL * size);
-        }
-        cap(&mut pieces);
         Self { pieces, size }
     }
 
@@ -163,17 +193,26 @@ impl Sums {
 
 type Cell = [i32; 3];
 
+fn cell(place: DVec3, side: f64) -> Cell {
+    (place / side).floor().to_array().map(|v| v as i32)
+}
+
+/// Rows in a cell, in the mean of the cells that hold any.
+fn rows_of_a_cell(pieces: &[Piece], side: f64) -> f64 {
+    let cells: BTreeSet<Cell> = pieces.iter().map(|p| cell(p.place, side)).collect();
+    pieces.len() as f64 / cells.len().max(1) as f64
+}
+
 /// Gives pieces the normals of planes through their neighbors. A cell counts once, however many rows
 /// it has: each gets its share of the cell's face.
 fn fit_planes(pieces: &mut [Piece], side: f64) {
     if side <= 0.0 {
         return;
     }
-    let cell = |place: DVec3| (place / side).floor().to_array().map(|v| v as i32);
     let mut cells: BTreeMap<Cell, Sums> = BTreeMap::new();
     for piece in &*pieces {
         let p = piece.place / side;
-        cells.entry(cell(piece.place)).or_default().add(&Sums {
+        cells.entry(cell(piece.place, side)).or_default().add(&Sums {
             count: 1.0,
             place: p,
             squares: p * p,
@@ -193,7 +232,7 @@ fn fit_planes(pieces: &mut [Piece], side: f64) {
         })
         .collect();
     for piece in pieces {
-        let found = normals.get(&cell(piece.place));
+        let found = normals.get(&cell(piece.place, side));
         (piece.normal, piece.area) = found.copied().unwrap_or((DVec3::ZERO, 0.0));
     }
 }

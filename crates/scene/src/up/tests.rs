@@ -156,3 +156,34 @@ fn points_planes_and_far_places_have_an_up_too() {
         }
     }
 }
+
+#[test]
+fn rooms_are_square_in_any_pose_and_balls_and_noise_are_not() {
+    // Even over the sphere: the golden angle.
+    let on_ball = |i: u32| {
+        let (turn, z) = (2.399_963 * i as f32, 1.0 - (2 * i + 1) as f32 / 20_000.0);
+        let flat = (1.0 - z * z).sqrt();
+        [flat * turn.cos(), flat * turn.sin(), z]
+    };
+    let ball = flat((0..20_000).map(on_ball).collect());
+    let room = points();
+    let of = |scene: &GaussianScene| squareness(scene, Up::PLUS_Z);
+    assert!(of(&room) > 0.9, "{}", of(&room));
+    assert!(of(&ball) < 0.12, "its Gaussians all face up: {}", of(&ball));
+    // All of it faces up; on its side it is a wall; at 45 degrees it is neither.
+    let floor = flat((0..10_000).map(|i| [(i % 100) as f32, (i / 100) as f32, 0.0]).collect());
+    assert!(of(&floor) > 0.97 && squareness(&floor, Up::PLUS_X) > 0.97);
+    assert!(squareness(&floor, Up::new([0.0, 1.0, 1.0]).unwrap()) < 0.02);
+    for rotation in turns() {
+        let up = Up::new(rotation.map(|row| row[2])).unwrap();
+        let found = squareness(&turned(&room, rotation), up);
+        assert!((found - of(&room)).abs() < 0.05, "{found} {}", of(&room));
+    }
+    // A room of few points is one still.
+    let few: Vec<usize> = (0..room.len()).step_by(24).collect();
+    let few = of(&room.select_rows(&few).unwrap());
+    assert!(few > 0.8, "{few}");
+    // Without rows, and without any normal, a third.
+    let none = of(&GaussianScene::default());
+    assert!((none - 1.0 / 3.0).abs() < 1e-9, "{none}");
+}
