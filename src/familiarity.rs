@@ -5,6 +5,7 @@
 //! centers of features of rooms, measured in the spread that features have around their centers (the Mahalanobis
 //! distance to the nearest of several means with one covariance). One figure for a scene: the median over its rows.
 
+use crate::cholesky;
 use crate::inference::{EncodeError, SceneFeatures};
 use crate::network::NetworkError;
 use rayon::prelude::*;
@@ -251,15 +252,7 @@ fn means_of(rows: &[f32], means: &[f32], width: usize) -> Vec<f32> {
 
 /// The inverse of the lower factor L of a positive definite matrix L·Lᵀ, of which the lower half is given.
 fn inverse_cholesky(matrix: &[f64], n: usize) -> Vec<f64> {
-    let mut factor = vec![0.0; n * n];
-    for i in 0..n {
-        for j in 0..=i {
-            let dot: f64 = (0..j).map(|k| factor[i * n + k] * factor[j * n + k]).sum();
-            let rest = matrix[i * n + j] - dot;
-            factor[i * n + j] =
-                if i == j { rest.max(1e-12).sqrt() } else { rest / factor[j * n + j] };
-        }
-    }
+    let factor = cholesky::factor(matrix, n);
     let mut inverse = vec![0.0; n * n];
     for column in 0..n {
         for row in column..n {

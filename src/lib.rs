@@ -26,6 +26,7 @@
 
 pub mod alignment;
 pub mod calibration;
+mod cholesky;
 pub mod device;
 pub mod embedded;
 pub mod evaluation;

@@ -85,6 +85,12 @@ impl Recognized {
         let known = self.probability.iter().filter(|p| **p >= least).count();
         known as f64 / self.probability.len().max(1) as f64
     }
+
+    /// The Gaussians that are less probable; all of them, if hardly any is as probable. `[N]`
+    pub fn strange(&self, least: f32) -> Vec<bool> {
+        let is_all = self.share(least) < LEAST_SHARE;
+        self.probability.iter().map(|p| is_all || *p < least).collect()
+    }
 }
 
 impl Recognition {
@@ -144,7 +150,8 @@ impl Recognition {
         self.row.log_odds(row.iter().map(|v| f64::from(*v))) as f32
     }
 
-    /// How probable it is that each Gaussian is part of a room. `surfaces`: of the same Gaussians; `None` if the
+    /// How probable it is that each Gaussian is part of a room. `surfaces`: of the same Gaussians; without them the scene
+    /// is judged as one. `None` if the
     /// features are of another width: codes, or those of another network, or no row has a direction.
     ///
     /// # Errors
@@ -152,7 +159,7 @@ impl Recognition {
     pub fn of(
         &self,
         features: &SceneFeatures,
-        surfaces: &Surfaces,
+        surfaces: Option<&Surfaces>,
         squareness: f64,
     ) -> Result<Option<Recognized>, EncodeError> {
         if features.width() != self.width() {
@@ -173,6 +180,8 @@ impl Recognition {
         if !scores.iter().any(|s| s.is_finite()) {
             return Ok(None);
         }
+        let none = Surfaces { of: Vec::new(), count: 0 };
+        let surfaces = surfaces.unwrap_or(&none);
         let (scene, means) = means(&scores, &each, surfaces);
         let probable = |mean: f64| {
             let odds = self.surface.log_odds(inputs(mean, scene, squareness).into_iter());
@@ -180,11 +189,8 @@ impl Recognition {
         };
         let of_surface: Vec<f32> = means.iter().map(|m| probable(m.unwrap_or(scene))).collect();
         let rest = probable(scene);
-        let probability = surfaces
-            .of
-            .iter()
-            .map(|s| of_surface.get(*s as usize).copied().unwrap_or(rest))
-            .collect();
+        let of_row = |row| of_surface.get(*surfaces.of.get(row)? as usize).copied();
+        let probability = (0..each.len()).map(|row| of_row(row).unwrap_or(rest)).collect();
         Ok(Some(Recognized { probability, score: scene, squareness }))
     }
 }

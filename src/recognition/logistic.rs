@@ -1,5 +1,6 @@
 //! Logistic regression by Newton's method.
 
+use crate::cholesky;
 use serde::{Deserialize, Serialize};
 
 /// Steps; the loss is convex, and after a few nothing moves.
@@ -67,7 +68,7 @@ impl Logistic {
                     row.iter_mut().zip(&input).for_each(|(c, x)| *c += scaled * x);
                 }
             }
-            let step = solved(&mut curvature, &gradient);
+            let step = solved(&curvature, &gradient);
             weights.iter_mut().zip(step).for_each(|(w, s)| *w -= s);
         }
         let factors: Vec<f64> = weights.iter().zip(&spread).map(|(w, s)| w / s).collect();
@@ -76,16 +77,10 @@ impl Logistic {
     }
 }
 
-/// Solves A·x = b for a positive definite A, of which the lower half is given and replaced by its Cholesky factor.
-fn solved(a: &mut [f64], b: &[f64]) -> Vec<f64> {
+/// Solves A·x = b for a positive definite A, of which the lower half is given.
+fn solved(a: &[f64], b: &[f64]) -> Vec<f64> {
     let n = b.len();
-    for i in 0..n {
-        for j in 0..=i {
-            let dot: f64 = (0..j).map(|k| a[i * n + k] * a[j * n + k]).sum();
-            let rest = a[i * n + j] - dot;
-            a[i * n + j] = if i == j { rest.max(1e-12).sqrt() } else { rest / a[j * n + j] };
-        }
-    }
+    let a = cholesky::factor(a, n);
     let mut x = b.to_vec();
     for i in 0..n {
         let dot: f64 = (0..i).map(|k| a[i * n + k] * x[k]).sum();

@@ -28,7 +28,7 @@ fn fitted() -> Recognition {
 fn recognized(found: &Recognition, scene: &Example) -> Recognized {
     let features = SceneFeatures::from_rows(scene.rows.clone(), 3).unwrap();
     let surfaces = Surfaces { of: scene.surface.clone(), count: 2 };
-    found.of(&features, &surfaces, scene.squareness).unwrap().unwrap()
+    found.of(&features, Some(&surfaces), scene.squareness).unwrap().unwrap()
 }
 
 #[test]
@@ -43,6 +43,16 @@ fn rooms_are_known_and_toys_are_not_nor_a_toy_in_a_room() {
     let (wall, thing) = (mixed.probability[0], mixed.probability[79]);
     assert!(wall > 0.5 && thing < 0.5, "{wall} {thing}");
     assert!(mixed.probability[60..].iter().all(|p| *p == thing));
+    // Without surfaces the scene is one.
+    let scene = example(93, true, true);
+    let features = SceneFeatures::from_rows(scene.rows, 3).unwrap();
+    let one = found.of(&features, None, scene.squareness).unwrap().unwrap();
+    assert_eq!((one.probability.len(), one.score.to_bits()), (80, mixed.score.to_bits()));
+    assert!(one.probability.iter().all(|p| *p == one.probability[0]));
+    // What is less probable is strange; nearly all of a scene is all of it.
+    let of = |probability: Vec<f32>| Recognized { probability, ..mixed.clone() };
+    assert_eq!(of(vec![0.2, 0.3, 0.3, 0.3]).strange(0.25), [true, false, false, false]);
+    assert_eq!(of(vec![0.2, 0.2, 0.2, 0.2, 0.2, 0.9]).strange(0.25), [true; 6]);
     // The same features in a scene that is not built like a room are less probable.
     let leaning = Example { squareness: 0.1, ..example(91, true, false) };
     assert!(recognized(&found, &leaning).probability[0] < room.probability[0]);
@@ -60,9 +70,9 @@ fn rows_without_direction_have_no_say() {
     assert!(got.probability[81].is_finite());
     let none = SceneFeatures::from_rows(vec![0.0; 6], 3).unwrap();
     let surfaces = Surfaces { of: vec![0, 0], count: 1 };
-    assert_eq!(found.of(&none, &surfaces, 0.5).unwrap(), None);
+    assert_eq!(found.of(&none, Some(&surfaces), 0.5).unwrap(), None);
     let wider = SceneFeatures::from_rows(vec![1.0; 8], 4).unwrap();
-    assert_eq!(found.of(&wider, &surfaces, 0.5).unwrap(), None);
+    assert_eq!(found.of(&wider, Some(&surfaces), 0.5).unwrap(), None);
 }
 
 #[test]

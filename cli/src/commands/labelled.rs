@@ -13,7 +13,7 @@ use scenesplat::labels::{self, label_agreeing_with_vote};
 use scenesplat::objects::surfaces::SceneSurfaces;
 use scenesplat::objects::{Catalogue, ObjectInput, ObjectSettings, find_objects};
 use scenesplat::outputs::OpenedScene;
-use scenesplat::recognition::{KNOWN, LEAST_SHARE, SURE};
+use scenesplat::recognition::{KNOWN, SURE};
 use scenesplat::scene::label_set::read_names;
 use scenesplat::scene::{LabelSet, ReadOptions, TextTable};
 use scenesplat::{Network, SceneFeatures};
@@ -294,31 +294,23 @@ impl Labelling {
             return Ok(None);
         };
         let least = if strange == Strange::Unknown { SURE } else { KNOWN };
-        let share = found.share(least);
-        let is_strange = share < LEAST_SHARE;
-        let unknown = if is_strange { 1.0 } else { 1.0 - share };
-        if strange == Strange::Label {
-            if unknown >= WORTH_A_WARNING {
-                session.warn_strange(
-                    unknown,
-                    "its labels are guesses; without --strange label they are left out",
-                );
-            }
-            return Ok(None);
-        }
-        if is_strange {
+        let rows = found.strange(least);
+        let share = rows.iter().filter(|is| **is).count() as f64 / rows.len() as f64;
+        if share >= WORTH_A_WARNING {
             session.warn_strange(
-                unknown,
-                "all labels are left out; --strange label keeps them, as guesses",
-            );
-        } else if unknown >= WORTH_A_WARNING {
-            session.warn_strange(
-                unknown,
-                "those labels are left out; --strange label keeps them, as guesses",
+                share,
+                match strange {
+                    Strange::Label => {
+                        "its labels are guesses; without --strange label they are left out"
+                    }
+                    _ if share == 1.0 => {
+                        "all labels are left out; --strange label keeps them, as guesses"
+                    }
+                    _ => "those labels are left out; --strange label keeps them, as guesses",
+                },
             );
         }
-        let is_left_out = |p: &f32| is_strange || *p < least;
-        Ok(Some(found.probability.iter().map(is_left_out).collect()))
+        Ok((strange != Strange::Label).then_some(rows))
     }
 }
 

@@ -5,7 +5,7 @@ use crate::flags::Inference;
 use crate::frame::frame;
 use anyhow::Result;
 use scenesplat::SceneFeatures;
-use scenesplat::objects::surfaces::{NO_SURFACE, Surfaces};
+use scenesplat::objects::surfaces::Surfaces;
 use scenesplat::outputs::OpenedScene;
 use scenesplat::recognition::{KNOWN, Recognition, Recognized};
 use scenesplat::scene::squareness;
@@ -32,16 +32,11 @@ impl Session<'_> {
             self.progress.say(why);
             return Ok(None);
         }
-        let up = frame(self, opened, inference).up;
+        let upright = frame(self, opened, inference).upright;
         let _stage = self.receipt.stage("recognition");
         let scene = &opened.loaded.scene;
-        let one = || Surfaces { of: vec![NO_SURFACE; scene.len()], count: 0 };
-        let known = Recognition::embedded()?;
-        let found = match surfaces {
-            Some(surfaces) => known.of(features, surfaces, squareness(scene, up))?,
-            None => known.of(features, &one(), squareness(scene, up))?,
-        };
-        let Some(found) = found else {
+        let square = squareness(scene, &upright);
+        let Some(found) = Recognition::embedded()?.of(features, surfaces, square)? else {
             let why = "codes, or features without direction, do not tell what of a scene is known";
             self.receipt.setting("known", "not judged", why);
             return Ok(None);

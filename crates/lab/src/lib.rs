@@ -8,5 +8,6 @@ pub mod compensation;
 pub mod doctor;
 pub mod pareto;
 pub mod poses;
+pub mod reader;
 pub mod recognition;
 pub mod severity;

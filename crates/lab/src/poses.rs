@@ -1,32 +1,22 @@
 //! Whether labels depend on how a scene lies: random poses of a scene against the scene itself.
 
-use scenesplat::alignment::judge::judged;
+use crate::reader::{Read, ReadError, Reader};
 use scenesplat::calibration::Calibration;
 use scenesplat::evaluation::{Evaluation, EvaluationError, EvaluationSettings};
-use scenesplat::familiarity::Familiarity;
-use scenesplat::inference::EncodeError;
 use scenesplat::kernels::random::{direction, sample_rng, unit};
 use scenesplat::labels::Agreement;
-use scenesplat::network::{NetworkError, WeightOptions, Weights};
-use scenesplat::objects::ObjectError;
-use scenesplat::objects::surfaces::{SurfaceSettings, scene_surfaces};
+use scenesplat::recognition::{KNOWN, Recognition};
 use scenesplat::scene::vector::{dot, rotation};
 use scenesplat::scene::{GaussianScene, Similarity, StatedUp, TextTable, Up};
-use scenesplat::{Alignment, AlignmentSettings, Network, SceneEncoder, embedded};
+use scenesplat::{Alignment, AlignmentSettings, embedded};
 
 /// Why a scene could not be labeled.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum PoseError {
-    /// The program was built with broken files.
+    /// It could not be read.
     #[error(transparent)]
-    Network(#[from] NetworkError),
-    /// The network refused the scene.
-    #[error(transparent)]
-    Encode(#[from] EncodeError),
-    /// The scene has no surfaces.
-    #[error(transparent)]
-    Surfaces(#[from] ObjectError),
+    Read(#[from] ReadError),
     /// The features have no labels.
     #[error(transparent)]
     Labels(#[from] EvaluationError),
@@ -53,10 +43,10 @@ pub struct PoseResult {
 
 /// The network inside the program, with labels as `segment` gives them.
 pub struct Labeller {
-    network: Network,
-    familiar: Familiarity,
+    reader: Reader,
     texts: TextTable,
     calibration: Calibration,
+    known: Recognition,
 }
 
 impl Labeller {
@@ -65,16 +55,15 @@ impl Labeller {
     /// # Errors
     /// If the program was built with broken files.
     pub fn embedded() -> Result<Self> {
-        let options = WeightOptions::default();
         Ok(Self {
-            network: Network::load(embedded::config()?, &Weights::Embedded, options)?,
-            familiar: Familiarity::embedded()?,
-            texts: embedded::vocabulary()?.class_table(),
-            calibration: Calibration::embedded()?,
+            reader: Reader::embedded()?,
+            texts: embedded::vocabulary().map_err(ReadError::from)?.class_table(),
+            calibration: Calibration::embedded().map_err(ReadError::from)?,
+            known: Recognition::embedded().map_err(ReadError::from)?,
         })
     }
 
-    /// Labels, and how the scene was read.
+    /// Labels, −1 for what is strange, and how the scene was read.
     ///
     /// # Errors
     /// If the network refuses the scene.
@@ -83,14 +72,9 @@ impl Labeller {
         scene: &GaussianScene,
         stated_up: StatedUp,
     ) -> Result<(Vec<i32>, Alignment)> {
-        let encoder = SceneEncoder::new(&self.network);
-        let square = self.network.is_square();
-        let settings = AlignmentSettings { stated_up, square, ..AlignmentSettings::default() };
-        let shape = Alignment::of(scene, &settings);
-        let alignment = judged(&encoder, &self.familiar, scene, &settings, shape, &mut |_| Ok(()))?;
-        let features = encoder.encode_aligned(scene, alignment.clone(), &mut |_| Ok(()))?;
-        let (upright, metres) = (alignment.upright(), alignment.scale);
-        let surfaces = scene_surfaces(scene, &upright, metres, &SurfaceSettings::default())?;
+        let settings = AlignmentSettings { stated_up, ..AlignmentSettings::default() };
+        let alignment = self.reader.alignment(scene, &settings)?;
+        let Read { features, surfaces, squareness } = self.reader.read(scene, alignment.clone())?;
         let agreement = Agreement {
             temperature: Some(self.calibration.temperature),
             surfaces: Some(&surfaces),
@@ -98,7 +82,12 @@ impl Labeller {
             ..Agreement::default()
         };
         let evaluation = Evaluation::new(&self.texts, EvaluationSettings::default())?;
-        let labels = evaluation.label_agreeing(&features, false, &agreement)?;
+        let mut labels = evaluation.label_agreeing(&features, false, &agreement)?;
+        let known = self.known.of(&features, Some(surfaces.largest()), squareness);
+        if let Some(known) = known.map_err(ReadError::from)? {
+            let strange = known.strange(KNOWN);
+            labels.iter_mut().zip(strange).filter(|(_, is)| *is).for_each(|(label, _)| *label = -1);
+        }
         Ok((labels, alignment))
     }
 }

@@ -1,34 +1,23 @@
-//! What of a scene the network inside the program knows: fits it ([`fitted`]), and measures it ([`Recognizer`]).
+//! What of a scene the network inside the program knows, fitted to made scenes.
 
 pub mod scenes;
 
+use crate::reader::{Read, ReadError, Reader};
 use scenes::{SHAPES, mixed, part, room, shape, thing};
-use scenesplat::alignment::judge::judged;
-use scenesplat::familiarity::Familiarity;
-use scenesplat::inference::EncodeError;
 use scenesplat::kernels::normalize::normalize_rows;
-use scenesplat::network::NetworkError;
-use scenesplat::objects::ObjectError;
-use scenesplat::objects::surfaces::{SurfaceSettings, Surfaces, scene_surfaces};
-use scenesplat::recognition::{Example, Recognition, Recognized};
+use scenesplat::recognition::{Example, Recognition};
 use scenesplat::rooms::{Capture, RoomError};
 use scenesplat::scene::edit::EditError;
-use scenesplat::scene::{GaussianScene, SceneError, Up, squareness};
-use scenesplat::{Alignment, AlignmentSettings, Network, SceneEncoder, SceneFeatures};
+use scenesplat::scene::{GaussianScene, SceneError};
+use scenesplat::{Alignment, AlignmentSettings};
 
-/// Why a scene could not be recognized.
+/// Why there are no examples.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum RecognitionError {
-    /// The program was built with broken files.
+    /// A scene could not be read.
     #[error(transparent)]
-    Network(#[from] NetworkError),
-    /// The network refused the scene.
-    #[error(transparent)]
-    Encode(#[from] EncodeError),
-    /// The scene has no surfaces.
-    #[error(transparent)]
-    Surfaces(#[from] ObjectError),
+    Read(#[from] ReadError),
     /// A room could not be made.
     #[error(transparent)]
     Room(#[from] RoomError),
@@ -50,66 +39,20 @@ const ROWS: usize = 1500;
 const ROOMS: u64 = 12;
 const VARIANTS: u64 = 4;
 
-/// Reads scenes as `segment` does.
-pub struct Recognizer<'n> {
-    encoder: SceneEncoder<'n>,
-    familiar: Familiarity,
-}
+/// Rows with features of a scene, as examples.
+struct Examples<'r>(&'r Reader);
 
-/// A scene as the network read it.
-struct Read {
-    features: SceneFeatures,
-    surfaces: Surfaces,
-    squareness: f64,
-}
-
-impl<'n> Recognizer<'n> {
-    /// With the network inside the program.
-    ///
-    /// # Errors
-    /// If the program was built with broken files.
-    pub fn new(network: &'n Network) -> Result<Self> {
-        Ok(Self { encoder: SceneEncoder::new(network), familiar: Familiarity::embedded()? })
-    }
-
-    /// What is known of a scene, and the direction that was taken for up; `None` if no row has a feature.
-    ///
-    /// # Errors
-    /// If the network refuses the scene.
-    pub fn recognize(
-        &self,
-        known: &Recognition,
-        scene: &GaussianScene,
-        settings: &AlignmentSettings,
-    ) -> Result<Option<(Recognized, Up)>> {
-        let settings = AlignmentSettings { square: self.encoder.network.is_square(), ..*settings };
-        let shape = Alignment::of(scene, &settings);
-        let alignment =
-            judged(&self.encoder, &self.familiar, scene, &settings, shape, &mut |_| Ok(()))?;
-        let up = alignment.turned_from;
-        let Read { features, surfaces, squareness } = self.read(scene, alignment)?;
-        Ok(known.of(&features, &surfaces, squareness)?.map(|found| (found, up)))
-    }
-
-    fn read(&self, scene: &GaussianScene, alignment: Alignment) -> Result<Read> {
-        let (upright, metres) = (alignment.upright(), alignment.scale);
-        let squareness = squareness(scene, alignment.turned_from);
-        let surfaces = scene_surfaces(scene, &upright, metres, &SurfaceSettings::default())?;
-        let surfaces = surfaces.largest().clone();
-        let features = self.encoder.encode_aligned(scene, alignment, &mut |_| Ok(()))?;
-        Ok(Read { features, surfaces, squareness })
-    }
-
+impl Examples<'_> {
     /// `foreign`: the first of the rows at the end that are no part of the room; 0 for no room.
-    fn example(&self, scene: &GaussianScene, foreign: usize) -> Result<Example> {
+    fn one(&self, scene: &GaussianScene, foreign: usize) -> Result<Example> {
         // Made scenes lie as networks know rooms.
         let settings = AlignmentSettings { as_is: true, ..AlignmentSettings::default() };
         let alignment = Alignment::of(scene, &settings);
-        let Read { features, surfaces, squareness } = self.read(scene, alignment)?;
+        let Read { features, surfaces, squareness } = self.0.read(scene, alignment)?;
         let (mut rows, mut surface, mut is_room) = (Vec::new(), Vec::new(), Vec::new());
         for row in (0..scene.len()).step_by(scene.len().div_ceil(ROWS).max(1)) {
-            rows.extend(features.gaussian_rows(row..row + 1)?);
-            surface.push(surfaces.of[row]);
+            rows.extend(features.gaussian_rows(row..row + 1).map_err(ReadError::from)?);
+            surface.push(surfaces.largest().of[row]);
             is_room.push(row < foreign);
         }
         normalize_rows(&mut rows, features.width());
@@ -117,15 +60,10 @@ impl<'n> Recognizer<'n> {
     }
 
     /// Rooms, parts of rooms, single things and shapes; if `is_mixed`, also rooms with something foreign in them.
-    fn examples(
-        &self,
-        seed: u64,
-        is_mixed: bool,
-        told: &mut impl FnMut(usize),
-    ) -> Result<Vec<Example>> {
+    fn of(&self, seed: u64, is_mixed: bool, told: &mut impl FnMut(usize)) -> Result<Vec<Example>> {
         let mut all = Vec::new();
         let mut add = |scene: &GaussianScene, foreign: usize| -> Result<()> {
-            all.push(self.example(scene, foreign)?);
+            all.push(self.one(scene, foreign)?);
             told(all.len());
             Ok(())
         };
@@ -157,14 +95,14 @@ impl<'n> Recognizer<'n> {
 /// # Errors
 /// If a scene cannot be made or read.
 pub fn fitted(
-    network: &Network,
+    reader: &Reader,
     seeds: [u64; 2],
     weights: String,
     mut told: impl FnMut(usize),
 ) -> Result<Recognition> {
-    let reader = Recognizer::new(network)?;
+    let examples = Examples(reader);
     // Beside something foreign the features of a room are not those of a room.
-    let rows = reader.examples(seeds[0], false, &mut told)?;
-    let surfaces = reader.examples(seeds[1], true, &mut told)?;
+    let rows = examples.of(seeds[0], false, &mut told)?;
+    let surfaces = examples.of(seeds[1], true, &mut told)?;
     Ok(Recognition::fit(&rows, &surfaces, weights))
 }

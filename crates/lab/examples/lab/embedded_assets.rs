@@ -16,6 +16,7 @@ use scenesplat::scene::GaussianScene;
 use scenesplat::scene::quantile::quantile;
 use scenesplat::text::text_rows;
 use scenesplat::{Network, SceneEncoder, SceneFeatures, WeightOptions, Weights};
+use scenesplat_lab::reader::Reader;
 use sha2::Digest;
 use std::collections::{BTreeMap, HashMap};
 use std::path::{Path, PathBuf};
@@ -76,7 +77,7 @@ pub fn run(args: Arguments) -> anyhow::Result<()> {
     std::fs::write(&path, familiar.to_safetensors()?)?;
     println!("wrote {}", path.display());
     calibrate(&network, hash.clone(), &assets)?;
-    crate::recognition::write(&network, hash, &assets)
+    crate::recognition::write(&Reader::of(network)?, hash, &assets)
 }
 
 /// Weights of one network, or the mean of those of several with the same names and shapes; counters are the first one's.

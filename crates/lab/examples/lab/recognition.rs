@@ -5,14 +5,15 @@
 
 use crate::Arguments;
 use anyhow::{Context, bail};
+use scenesplat::AlignmentSettings;
 use scenesplat::calibration::Calibration;
 use scenesplat::input::open_input;
 use scenesplat::kernels::random::{sample_rng, unit};
-use scenesplat::network::{WeightOptions, Weights};
 use scenesplat::recognition::{KNOWN, Recognition, SURE};
 use scenesplat::scene::{GaussianScene, ReadOptions};
-use scenesplat::{AlignmentSettings, Network, embedded};
-use scenesplat_lab::recognition::{Recognizer, fitted};
+use scenesplat_lab::reader::{Read, Reader};
+use scenesplat_lab::recognition::fitted;
+use scenesplat_lab::recognition::scenes::ball;
 use std::cmp::Ordering;
 use std::path::Path;
 
@@ -21,14 +22,13 @@ const SEEDS: [u64; 2] = [6101, 6102];
 
 pub fn run(args: Arguments) -> anyhow::Result<()> {
     let words: Vec<String> = args.0.collect();
-    let network = Network::load(embedded::config()?, &Weights::Embedded, WeightOptions::default())?;
+    let reader = Reader::embedded()?;
     if words == ["fit"] {
         let assets = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../assets/embedded");
-        return write(&network, Calibration::embedded()?.weights, &assets);
+        return write(&reader, Calibration::embedded()?.weights, &assets);
     }
     let file = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../assets/embedded/recognition.json");
     let known: Recognition = serde_json::from_str(&std::fs::read_to_string(file)?)?;
-    let reader = Recognizer::new(&network)?;
     let (mut rooms, mut others) = (Vec::new(), Vec::new());
     println!(
         "{:<44} {:>8} {:>7} {:>7} {:>6} {:>6}",
@@ -42,14 +42,17 @@ pub fn run(args: Arguments) -> anyhow::Result<()> {
         let (scene, stated_up) = (&opened.loaded.scene, opened.loaded.stated_up);
         let mut parts = vec![(path.to_owned(), scene.clone())];
         for number in 0..balls {
-            let (what, part) = ball(scene, number)?;
+            let (what, part) = part(scene, number)?;
             parts.push((format!("  {what}"), part));
         }
         // Parts lie as their scene does, which is easier to see in the whole.
         let mut settings = AlignmentSettings { stated_up, ..AlignmentSettings::default() };
         for (name, part) in parts {
-            let Some((found, up)) = reader.recognize(&known, &part, &settings)? else { continue };
-            settings.up = Some(up);
+            let alignment = reader.alignment(&part, &settings)?;
+            settings.up = Some(alignment.turned_from);
+            let Read { features, surfaces, squareness } = reader.read(&part, alignment)?;
+            let found = known.of(&features, Some(surfaces.largest()), squareness)?;
+            let Some(found) = found else { continue };
             let share = found.share(KNOWN);
             println!(
                 "{name:<44} {:>8} {:>7.2} {:>7.2} {share:>6.2} {:>6.2}",
@@ -90,8 +93,8 @@ fn roc_area(rooms: &[f64], others: &[f64]) -> f64 {
 }
 
 /// Fits to made scenes. `weights`: SHA-256 of the network's.
-pub fn write(network: &Network, weights: String, assets: &Path) -> anyhow::Result<()> {
-    let known = fitted(network, SEEDS, weights, |count| eprint!("\r{count} scenes"))?;
+pub fn write(reader: &Reader, weights: String, assets: &Path) -> anyhow::Result<()> {
+    let known = fitted(reader, SEEDS, weights, |count| eprint!("\r{count} scenes"))?;
     let path = assets.join("recognition.json");
     std::fs::write(&path, serde_json::to_string_pretty(&known)? + "\n")?;
     println!("\nwrote {}", path.display());
@@ -99,14 +102,10 @@ pub fn write(network: &Network, weights: String, assets: &Path) -> anyhow::Resul
 }
 
 /// What of a scene lies within 1.2 to 2.5 of one of its Gaussians, and every first, second, fourth or eighth of it.
-fn ball(scene: &GaussianScene, number: u64) -> anyhow::Result<(String, GaussianScene)> {
+fn part(scene: &GaussianScene, number: u64) -> anyhow::Result<(String, GaussianScene)> {
     let mut rng = sample_rng(47, number, 0);
     let middle = scene.coord[((unit(&mut rng) * scene.len() as f64) as usize).min(scene.len() - 1)];
     let reach = 1.2 + 1.3 * unit(&mut rng);
     let every = 1 << (number % 4);
-    let away = |p: &[f32; 3]| (0..3).map(|i| f64::from(p[i] - middle[i]).powi(2)).sum::<f64>();
-    let rows: Vec<usize> = (0..scene.len())
-        .filter(|&row| row % every == 0 && away(&scene.coord[row]) < reach * reach)
-        .collect();
-    Ok((format!("within {reach:.1}, 1 of {every}"), scene.select_rows(&rows)?))
+    Ok((format!("within {reach:.1}, 1 of {every}"), ball(scene, middle, reach, every)?))
 }

@@ -6,7 +6,7 @@ use scenesplat::kernels::random::{SampleRng, direction, sample_rng, unit};
 use scenesplat::rooms::{Capture, SyntheticRoomSettings, generate};
 use scenesplat::scene::edit::merge;
 use scenesplat::scene::vector::rotation;
-use scenesplat::scene::{GaussianScene, Similarity, robust_bounds};
+use scenesplat::scene::{GaussianScene, SceneError, Similarity, robust_bounds};
 use std::collections::BTreeMap;
 use std::f64::consts::TAU;
 
@@ -82,11 +82,7 @@ pub fn part(seed: u64, number: u64, capture: Capture) -> Result<GaussianScene, R
     let middle = scene.coord[below(&mut rng, scene.len())];
     let reach = 1.5 + 3.0 * unit(&mut rng);
     let every = 1 + below(&mut rng, 4);
-    let away = |p: &[f32; 3]| (0..3).map(|i| f64::from(p[i] - middle[i]).powi(2)).sum::<f64>();
-    let rows: Vec<usize> = (0..scene.len())
-        .filter(|&row| row % every == 0 && away(&scene.coord[row]) < reach * reach)
-        .collect();
-    let mut scene = scene.select_rows(&rows)?;
+    let mut scene = ball(&scene, middle, reach, every)?;
     let noise = 0.03 * unit(&mut rng);
     light(&mut scene, &mut rng);
     for p in &mut scene.coord {
@@ -95,6 +91,23 @@ pub fn part(seed: u64, number: u64, capture: Capture) -> Result<GaussianScene, R
         p.iter_mut().zip(off).for_each(|(p, off)| *p += (far * off) as f32);
     }
     Ok(scene)
+}
+
+/// What of a scene lies within `reach` of a place, and every `every`th row of it.
+///
+/// # Errors
+/// If its columns differ in length.
+pub fn ball(
+    scene: &GaussianScene,
+    middle: [f32; 3],
+    reach: f64,
+    every: usize,
+) -> Result<GaussianScene, SceneError> {
+    let away = |p: &[f32; 3]| (0..3).map(|i| f64::from(p[i] - middle[i]).powi(2)).sum::<f64>();
+    let rows: Vec<usize> = (0..scene.len())
+        .filter(|&row| row % every == 0 && away(&scene.coord[row]) < reach * reach)
+        .collect();
+    scene.select_rows(&rows)
 }
 
 /// One thing of a room, alone, in any size and in many cases in any pose.

@@ -1,8 +1,8 @@
 //! How much a scene is built like a room: its surface is level, or parallel to walls at right angles.
 
-use super::direction::Up;
 use super::surface::Surface;
 use crate::GaussianScene;
+use crate::frame::Matrix3;
 use glam::DVec3;
 
 /// Within so many degrees a surface is level, plumb, or parallel to a wall.
@@ -20,12 +20,13 @@ const RARE: f64 = 0.03;
 /// The share of a scene's surface that is level or parallel to one of two walls at right angles, 0..=1: most of
 /// it in rooms, 0.06 where normals point anywhere. The walls are those that hold most surface.
 ///
+/// `turn`: the rotation that brings +z up.
+///
 /// By planes through neighbors: Gaussians of generated things often lie along the axes, whatever they show. Where
 /// hardly any row lies on a plane the figure tends to a third. The same for any number of threads.
-pub fn squareness(scene: &GaussianScene, up: Up) -> f64 {
+pub fn squareness(scene: &GaussianScene, turn: &Matrix3) -> f64 {
     let surface = Surface::of_planes(scene);
-    let up = DVec3::from(up.vector());
-    let (east, north) = up.any_orthonormal_pair();
+    let [east, north, up] = turn.map(DVec3::from);
     let (level_from, plumb_below) = (WITHIN.to_radians().cos(), WITHIN.to_radians().sin());
     let (mut all, mut level, mut plumb) = (0.0, 0.0, [0.0; BINS]);
     for piece in surface.flat() {

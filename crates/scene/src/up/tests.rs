@@ -167,16 +167,16 @@ fn rooms_are_square_in_any_pose_and_balls_and_noise_are_not() {
     };
     let ball = flat((0..20_000).map(on_ball).collect());
     let room = points();
-    let of = |scene: &GaussianScene| squareness(scene, Up::PLUS_Z);
+    let of = |scene: &GaussianScene| squareness(scene, &Up::PLUS_Z.upright());
     assert!(of(&room) > 0.9, "{}", of(&room));
     assert!(of(&ball) < 0.12, "its Gaussians all face up: {}", of(&ball));
     // All of it faces up; on its side it is a wall; at 45 degrees it is neither.
     let floor = flat((0..10_000).map(|i| [(i % 100) as f32, (i / 100) as f32, 0.0]).collect());
-    assert!(of(&floor) > 0.97 && squareness(&floor, Up::PLUS_X) > 0.97);
-    assert!(squareness(&floor, Up::new([0.0, 1.0, 1.0]).unwrap()) < 0.02);
+    assert!(of(&floor) > 0.97 && squareness(&floor, &Up::PLUS_X.upright()) > 0.97);
+    assert!(squareness(&floor, &Up::new([0.0, 1.0, 1.0]).unwrap().upright()) < 0.02);
     for rotation in turns() {
         let up = Up::new(rotation.map(|row| row[2])).unwrap();
-        let found = squareness(&turned(&room, rotation), up);
+        let found = squareness(&turned(&room, rotation), &up.upright());
         assert!((found - of(&room)).abs() < 0.05, "{found} {}", of(&room));
     }
     // A room of few points is one still.
