@@ -5,7 +5,7 @@
 //! alone. Up may be any direction, so the copy is level. Where the evidence is close, a network may decide
 //! ([`judge`]); what stays open is a [`Remark`]. Outputs belong to rows, so they need no turning back. For
 //! networks that know rooms along the axes ([`AlignmentSettings::square`]) walls are brought along the
-//! axes. Heights are measured from the [floors](Alignment::floors) of the copy.
+//! axes, of the four ways to that in which what stands in the room leans most towards +x. Heights are measured from the [floors](Alignment::floors) of the copy.
 
 pub mod judge;
 mod report;
@@ -13,15 +13,17 @@ mod report;
 pub use report::{AlignmentReport, Alternative};
 
 use crate::inspect::{
-    LengthUnit, UnitGuess, guess_unit, is_surely_no_metre, may_be_no_metre, usual_spacing,
+    LengthUnit, ReadUnit, SizedUnit, UnitGuess, guess_unit, is_surely_no_metre, may_be_no_metre,
+    usual_spacing,
 };
 use rayon::prelude::*;
-use scenesplat_scene::edit::{Walls, level};
+use scenesplat_scene::edit::level;
 use scenesplat_scene::frame::Matrix3;
 use scenesplat_scene::similarity::{matrix_to_quat, quat_product};
 use scenesplat_scene::vector::dot;
 use scenesplat_scene::{
-    Bounds, Floors, GaussianScene, Similarity, StatedUp, Up, UpGuess, guess_up, robust_bounds,
+    Bounds, Floors, GaussianScene, Similarity, StatedUp, Up, UpGuess, Walls, guess_up,
+    robust_bounds,
 };
 use serde::Serialize;
 use std::borrow::Cow;
@@ -41,8 +43,14 @@ const MOST_TILT: f64 = 20.0;
 /// Level, the floor must hold so much more than before: a scene without one is not turned.
 const SHARPER: f64 = 1.05;
 
-/// Walls are brought along the axes from so many degrees on.
-const LEAST_YAW: f64 = 1.0;
+/// Walls are brought along the axes from so many degrees on; less moves no Gaussian by a tenth of a voxel.
+const LEAST_YAW: f64 = 0.1;
+
+/// From so many degrees on it is a remark.
+const YAW: f64 = 1.0;
+
+/// Heights of closed rooms that are in meters without doubt.
+const CLEAR_HEIGHTS: [f64; 2] = [2.2, 3.2];
 
 /// Heights of rooms, meters; a closed room outside them is in another unit, and read as one of the
 /// usual height.
@@ -50,6 +58,9 @@ const ROOM_HEIGHTS: [f64; 2] = [1.8, 4.3];
 /// The lower one where walls end at one height all around: they were not cut off by the capture.
 const LEAST_WHOLE_HEIGHT: f64 = 2.1;
 const USUAL_HEIGHT: f64 = 2.6;
+
+/// A unit by the height of walls is off by less than a tenth so often: rooms are 2.3 to 3.1 m high.
+const BY_WALLS: f64 = 0.6;
 
 /// What the user knows about a scene.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
@@ -81,10 +92,13 @@ pub struct Alignment {
     pub judged: bool,
     /// Factor that brings the scene to meters; 1 for none.
     pub scale: f64,
+    /// What things of known size say about that factor, if the network looked for them.
+    pub sized: Option<UnitBySize>,
     /// Degrees by which the floor was out of level, after the turn of the nearest axis; 0 if nothing
     /// was done about it.
     pub tilt: f64,
-    /// Degrees by which the walls were off the axes, after that; 0 if nothing was done about it.
+    /// Degrees by which the scene was turned about the vertical, after that, to the one square way in which its every
+    /// pose is read, −180..=180; 0 if nothing was done about it.
     pub yaw: f64,
     /// Floors of the scene as the network reads it, meters.
     pub floors: Floors,
@@ -96,8 +110,20 @@ pub struct Alignment {
     /// What was subtracted from the positions of the scene when it was read.
     #[serde(skip)]
     origin: [f64; 3],
+    /// Whether the unit was to be found, and the shape leaves it open.
+    #[serde(skip)]
+    is_size_open: bool,
     /// What a user must know, the most important first.
     pub remarks: Vec<Remark>,
+}
+
+/// The unit of a scene by things of known size in it.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct UnitBySize {
+    /// The probability that the factor is off by less than a tenth, 0..=1.
+    pub confidence: f64,
+    /// What speaks for it.
+    pub evidence: String,
 }
 
 /// Something about a scene that changes what a network makes of it.
@@ -126,6 +152,13 @@ pub enum Remark {
         /// Height of its walls, units.
         height: f64,
     },
+    /// A copy is read in which things have the sizes that they have in rooms.
+    ScaledBySize {
+        /// Meters per unit.
+        by: f64,
+        /// How sure it is that this is off by less than a tenth.
+        confidence: f64,
+    },
     /// Up is not clear.
     UpUnclear {
         /// The direction that is taken.
@@ -148,9 +181,28 @@ pub enum Remark {
 }
 
 impl Remark {
+    /// Whether it is about the unit.
+    fn is_of_unit(&self) -> bool {
+        matches!(
+            self,
+            Self::Scaled { .. }
+                | Self::ScaledToRoom { .. }
+                | Self::ScaledBySize { .. }
+                | Self::UnitUnclear { .. }
+        )
+    }
+
     /// Whether nothing was done about it, so that labels may be wrong.
     pub fn is_warning(&self) -> bool {
-        matches!(self, Self::UpUnclear { .. } | Self::UnitUnclear { .. })
+        match self {
+            Self::UpUnclear { .. } | Self::UnitUnclear { .. } => true,
+            // Heights of rooms differ by a fifth, and by what is in them a unit is found to a few percent.
+            Self::ScaledToRoom { .. } | Self::ScaledBySize { .. } => true,
+            Self::Turned { .. }
+            | Self::Leveled { .. }
+            | Self::Squared { .. }
+            | Self::Scaled { .. } => false,
+        }
     }
 }
 
@@ -176,12 +228,14 @@ impl Alignment {
             turned_from: Up::PLUS_Z,
             judged,
             scale: 1.0,
+            sized: None,
             tilt: 0.0,
             yaw: 0.0,
             floors: Floors::given(0.0),
             rotation: Up::PLUS_Z.upright(),
             upright: Up::PLUS_Z.upright(),
             origin: scene.origin,
+            is_size_open: false,
             remarks: Vec::new(),
         };
         if !settings.as_is {
@@ -249,15 +303,21 @@ impl Alignment {
             self.decide_tilt(sample);
         }
         self.upright = self.rotation;
-        let may_scale = settings.metres_per_unit.is_none() && self.unit.is_none();
+        let is_sought = settings.metres_per_unit.is_none() && self.scale == 1.0;
+        self.is_size_open = is_sought;
+        let may_scale = is_sought && self.unit.is_none();
         if !is_upright || !(settings.square || may_scale) {
             return;
         }
         let walls = Walls::of(sample);
-        if settings.square && walls.is_clear() && walls.yaw.abs() >= LEAST_YAW {
-            self.yaw = walls.yaw;
-            self.turn(&walls.squaring());
-            self.remarks.push(Remark::Squared { yaw: walls.yaw });
+        let is_off = walls.yaw.abs() >= LEAST_YAW || walls.quarters != 0;
+        if settings.square && walls.is_clear() && is_off {
+            let turn = walls.yaw + 90.0 * f64::from(walls.quarters);
+            self.yaw = turn - 360.0 * (turn / 360.0).round();
+            self.turn(&walls.squaring(LEAST_YAW));
+            if walls.yaw.abs() >= YAW {
+                self.remarks.push(Remark::Squared { yaw: walls.yaw });
+            }
         }
         if may_scale {
             self.decide_room(sample, &walls);
@@ -287,6 +347,9 @@ impl Alignment {
         let extent = robust_bounds(&sample.coord).extent()[2];
         let least = if walls.closed_at_top < 4 { ROOM_HEIGHTS[0] } else { LEAST_WHOLE_HEIGHT };
         let is_room = |height: f64| (least..=ROOM_HEIGHTS[1]).contains(&height);
+        let is_closed = walls.closed == 4 && walls.is_clear();
+        let is_clear = is_closed && (CLEAR_HEIGHTS[0]..=CLEAR_HEIGHTS[1]).contains(&extent);
+        self.is_size_open &= !is_clear;
         if walls.closed < 4 || !walls.is_clear() || extent <= 0.0 || is_room(extent) {
             return;
         }
@@ -307,7 +370,17 @@ impl Alignment {
         let by = USUAL_HEIGHT / height;
         self.scale *= by;
         self.floors = Floors::of_scene(&scaled(by, sample));
+        self.is_size_open = true;
         self.remarks.push(Remark::ScaledToRoom { by: self.scale, height });
+    }
+
+    /// Reads a copy that is so many times larger.
+    fn scale_by(&mut self, scene: &GaussianScene, settings: &AlignmentSettings, by: f64) {
+        self.scale *= by;
+        self.floors = match settings.floor {
+            Some(floor) => Floors::given((floor - self.height_of_origin()) * self.scale),
+            None => Floors::of_scene(&self.sample(scene)),
+        };
     }
 
     fn turn(&mut self, by: &Matrix3) {
@@ -351,6 +424,27 @@ impl Alignment {
         if metres != 1.0 {
             self.scale = metres;
             self.remarks.push(Remark::Scaled { by: metres });
+        }
+    }
+
+    /// Whether the unit was to be found, and the shape of the scene leaves it open.
+    pub fn is_size_open(&self) -> bool {
+        self.is_size_open
+    }
+
+    /// In what unit a network reads the scene, for reports.
+    pub fn read_unit(&self) -> ReadUnit {
+        let metres = self.scale;
+        let is_by_walls = |remark: &Remark| matches!(remark, Remark::ScaledToRoom { .. });
+        if let Some(UnitBySize { confidence, evidence }) = self.sized.clone() {
+            ReadUnit::Sized(SizedUnit { metres, confidence, evidence })
+        } else if self.remarks.iter().any(is_by_walls) {
+            let evidence = "by the height of walls that close the scene on four sides".to_owned();
+            ReadUnit::Sized(SizedUnit { metres, confidence: BY_WALLS, evidence })
+        } else if self.is_size_open {
+            ReadUnit::Open
+        } else {
+            ReadUnit::Clear
         }
     }
 
@@ -579,7 +673,29 @@ mod tests {
         assert!((yaw - 37.0).abs() < 0.5, "{yaw}");
         let again = Alignment::of(&alignment.apply(&turned), &square);
         assert!(again.is_identity(), "{again:?}");
-        assert!(Alignment::of(&room, &square).is_identity());
+    }
+
+    #[test]
+    fn four_quarter_turns_of_a_room_are_read_as_one() {
+        let room = room();
+        let square = AlignmentSettings { square: true, ..Default::default() };
+        let read = |scene: &GaussianScene| {
+            let alignment = Alignment::of(scene, &square);
+            assert!(alignment.remarks.is_empty(), "{alignment:?}");
+            alignment.apply(scene).into_owned()
+        };
+        let due = read(&room);
+        let apart =
+            |a: &[f32; 3], b: &[f32; 3]| (0..3).map(|k| (a[k] - b[k]).abs()).fold(0.0, f32::max);
+        for yaw in [90.0, 180.0, 270.0] {
+            let mut turned = room.clone();
+            let rotation = scenesplat_scene::edit::EulerAngles([0.0, 0.0, yaw]).matrix();
+            turned.transform(&Similarity { rotation, ..Similarity::IDENTITY });
+            let found = read(&turned);
+            let most =
+                found.coord.iter().zip(&due.coord).map(|(a, b)| apart(a, b)).fold(0.0, f32::max);
+            assert!(most < 0.01, "{yaw}: {most}");
+        }
     }
 
     #[test]

@@ -54,6 +54,7 @@ pub mod recognition;
 pub mod reconstruction;
 pub mod setting;
 pub mod text;
+pub mod yardsticks;
 
 pub use alignment::{Alignment, AlignmentSettings};
 pub use inference::{EncodeError, SceneEncoder, SceneFeatures};

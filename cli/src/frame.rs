@@ -13,6 +13,8 @@ pub struct Frame {
     pub up: Up,
     /// The rotation that brings +z up and the floor level.
     pub upright: Matrix3,
+    /// The same, with walls along the axes if the network reads them so: cells lie along it.
+    pub turn: Matrix3,
     /// What one unit of the scene is, meters.
     pub metres_per_unit: f64,
     /// Height of the floor along up, meters, if --floor says it.
@@ -27,6 +29,7 @@ pub fn frame(session: &Session<'_>, opened: &OpenedScene, inference: &Inference)
     Frame {
         up: inference.up.unwrap_or(alignment.turned_from),
         upright: given.map_or_else(|| alignment.upright(), Up::upright),
+        turn: given.map_or_else(|| alignment.rotation(), Up::upright),
         metres_per_unit: alignment.scale,
         // Relative to the origin of the scene, as its positions are.
         floor: inference.floor.map(|_| alignment.floors.heights[0]),

@@ -149,9 +149,9 @@ impl SurfaceArgs {
             return Ok(agreeing);
         }
         let _stage = session.receipt.stage("surfaces");
-        let Frame { upright, metres_per_unit, .. } = frame(session, opened, inference);
+        let Frame { turn, metres_per_unit, .. } = frame(session, opened, inference);
         let settings = SurfaceSettings::default();
-        let found = scene_surfaces(&opened.loaded.scene, &upright, metres_per_unit, &settings)?;
+        let found = scene_surfaces(&opened.loaded.scene, &turn, metres_per_unit, &settings)?;
         let counts: Vec<String> = found.scales.iter().map(|of| of.count.to_string()).collect();
         let meaning = match agreeing.least_area.is_empty() {
             true => "smooth pieces of one color, small to large, on which labels agree",

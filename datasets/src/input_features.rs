@@ -246,7 +246,8 @@ impl InputFeatures {
         feat.par_chunks_exact_mut(width).enumerate().with_min_len(4096).for_each(|(at, out)| {
             let mut row = read(at);
             if self.orientation == Orientation::Drawn {
-                (row.scale, row.quat) = drawn_axes(row.scale, row.quat, row.coord);
+                let [r, g, b] = row.color;
+                (row.scale, row.quat) = drawn_axes(row.scale, row.quat, [r, g, b, row.opacity]);
             }
             let mut rest = out;
             for &channel in &self.channels {

@@ -1,13 +1,17 @@
-//! Which way is up, by a network, where the scene itself leaves it open.
+//! Which way is up and how large a scene is, by a network, where the shape of the scene leaves it open.
 //!
 //! A network has learned how rooms lie. A scene that lies otherwise is stranger to it, so of a few directions
 //! the one is taken in which the scene's features are nearest to those of rooms, what speaks for it by its shape
-//! considered.
+//! considered. How large it is, things of known size say that the network finds in it ([`yardsticks`]): the scene is
+//! scaled until they are as large as in rooms.
 
-use super::{Alignment, AlignmentSettings};
+use super::{Alignment, AlignmentSettings, Remark, USUAL_HEIGHT, UnitBySize};
+use crate::embedded;
 use crate::familiarity::Familiarity;
-use crate::inference::{EncodeError, Fidelity, ProgressFn, SceneEncoder};
-use scenesplat_scene::{GaussianScene, UpEvidence, UpGuess};
+use crate::inference::{EncodeError, Fidelity, ProgressFn, SceneEncoder, SceneFeatures};
+use crate::network::NetworkError;
+use crate::yardsticks::{self, Yardsticks, nearest_text};
+use scenesplat_scene::{GaussianScene, TextTable, UpEvidence, UpGuess, robust_bounds};
 
 /// Directions that are tried at most.
 const MOST: usize = 6;
@@ -24,15 +28,38 @@ const SCORE_WEIGHT: f64 = 4.0;
 /// By so much the best must lead; below it, and where the scene is strange in every direction, up stays open.
 const MARGIN: f64 = 0.3;
 
+/// Times that a scene is scaled by what is found in it; below so small a factor, in ln, it is settled.
+const ROUNDS: usize = 4;
+const SETTLED: f64 = 0.03;
+
+/// Fewest classes that must agree, and how much their heights may spread, in ln.
+const FEWEST_THAT_AGREE: usize = 3;
+const MOST_SPREAD: f64 = 0.12;
+
+/// How far all yardsticks are off together from one scene to another, in ln: measured on rooms that they were not fitted to.
+const OWN_SPREAD: f64 = 0.04;
+
+/// A unit this near to a meter, in ln, is taken for it.
+const METRE: f64 = 0.15;
+
+/// By how much a unit may be off for the confidence, in ln.
+const TENTH: f64 = 0.1;
+
+/// Heights of scenes that are looked at as they are, meters; others are first made as high as rooms usually are.
+const HEIGHTS: [f64; 2] = [1.2, 6.0];
+
+/// Classes that are named as evidence.
+const SHOWN: usize = 4;
+
 /// How a scene is read in one direction.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Look {
+struct Look {
     /// The direction.
-    pub direction: scenesplat_scene::Up,
+    direction: scenesplat_scene::Up,
     /// The out-of-distribution score of the scene so.
-    pub strangeness: f32,
+    strangeness: f32,
     /// What speaks for it by the shape of the scene.
-    pub score: f64,
+    score: f64,
 }
 
 impl Look {
@@ -42,12 +69,162 @@ impl Look {
     }
 }
 
-/// The alignment of a scene that was found by its shape; where up is open, the encoder's network decides, whose
-/// features `familiar` knows.
-///
-/// # Errors
-/// If the network refuses the scene, or is stopped.
-pub fn judged(
+/// What the network inside the program decides by.
+pub struct Judge {
+    familiar: Familiarity,
+    yardsticks: Yardsticks,
+    texts: TextTable,
+}
+
+impl Judge {
+    /// That of the network inside the program.
+    ///
+    /// # Errors
+    /// If the program was built with broken files.
+    pub fn embedded() -> Result<Self, NetworkError> {
+        Ok(Self {
+            familiar: Familiarity::embedded()?,
+            yardsticks: Yardsticks::embedded()?,
+            texts: embedded::vocabulary()?.class_table(),
+        })
+    }
+
+    /// The alignment of a scene that was found by its shape; where that leaves up or the unit open, the encoder's
+    /// network decides.
+    ///
+    /// # Errors
+    /// If the network refuses the scene, or is stopped.
+    pub fn decide(
+        &self,
+        encoder: &SceneEncoder<'_>,
+        scene: &GaussianScene,
+        settings: &AlignmentSettings,
+        alignment: Alignment,
+        progress: &mut ProgressFn<'_>,
+    ) -> Result<Alignment, EncodeError> {
+        let known = &self.familiar;
+        let alignment = judged_up(encoder, known, scene, settings, alignment, progress)?;
+        if !alignment.is_size_open() {
+            return Ok(alignment);
+        }
+        let looker = Looker::new(encoder, scene)?;
+        self.sized(&looker, scene, settings, alignment, progress)
+    }
+
+    /// With the unit by what the network finds in the scene.
+    fn sized(
+        &self,
+        looker: &Looker<'_>,
+        scene: &GaussianScene,
+        settings: &AlignmentSettings,
+        shape: Alignment,
+        progress: &mut ProgressFn<'_>,
+    ) -> Result<Alignment, EncodeError> {
+        let mut found = shape.clone();
+        found.make_as_high_as_rooms(&looker.sample, settings);
+        // Heights are measured from a floor.
+        if !found.floors.has_plane() {
+            return Ok(shape);
+        }
+        let mut measured = None;
+        for round in 1..=ROUNDS {
+            let features = looker.look(&found, progress)?;
+            let labels = nearest_text(&features, &self.texts)?;
+            let copy = found.apply(&looker.sample);
+            let heights: Vec<f32> = copy.coord.iter().map(|p| found.floors.height(p[2])).collect();
+            let things = yardsticks::measured(&self.texts.names, &labels, &heights);
+            let Some(by) = self.yardsticks.compare(&things) else { return Ok(shape) };
+            let is_settled = by.factor.ln().abs() <= SETTLED;
+            if !is_settled && round < ROUNDS {
+                found.scale_by(scene, settings, 1.0 / by.factor);
+            }
+            measured = Some(by);
+            if is_settled {
+                break;
+            }
+        }
+        let Some(by) = measured else { return Ok(shape) };
+        if by.agree.len() < FEWEST_THAT_AGREE || by.spread > MOST_SPREAD {
+            return Ok(shape);
+        }
+        let metres = found.scale / by.factor;
+        let spread = by.spread.hypot(OWN_SPREAD);
+        let evidence = |what: &str| {
+            let shown: Vec<&str> = by.agree.iter().take(SHOWN).map(String::as_str).collect();
+            format!(
+                "{what}; {} of {} kinds of things agree, of them {}",
+                by.agree.len(),
+                by.count,
+                shown.join(", ")
+            )
+        };
+        // Meters are likelier than any other unit.
+        let is_metre = metres.ln().abs() <= METRE.max(2.0 * spread);
+        if is_metre {
+            let mut alignment = found;
+            let back = 1.0 / alignment.scale;
+            alignment.scale_by(scene, settings, back);
+            alignment.scale = 1.0;
+            alignment.unit = None;
+            alignment.remarks.retain(|remark| !remark.is_of_unit());
+            alignment.sized = Some(UnitBySize {
+                confidence: within(spread, METRE),
+                evidence: evidence("things are as large as in rooms in meters"),
+            });
+            return Ok(alignment);
+        }
+        let confidence = within(spread, TENTH);
+        found.unit = None;
+        found.remarks.retain(|remark| !remark.is_of_unit());
+        found.remarks.insert(0, Remark::ScaledBySize { by: found.scale, confidence });
+        let what = format!("with {:.4} m per unit things are as large as in rooms", found.scale);
+        found.sized = Some(UnitBySize { confidence, evidence: evidence(&what) });
+        Ok(found)
+    }
+}
+
+impl Alignment {
+    /// Reads a copy as high as rooms usually are, if the scene is by far not.
+    fn make_as_high_as_rooms(&mut self, sample: &GaussianScene, settings: &AlignmentSettings) {
+        let height = robust_bounds(&self.apply(sample).coord).extent()[2];
+        if height > 0.0 && !(HEIGHTS[0]..=HEIGHTS[1]).contains(&height) {
+            self.scale_by(sample, settings, USUAL_HEIGHT / height);
+        }
+    }
+}
+
+/// The probability that a normal deviate of this spread is less than `limit` from 0.
+fn within(spread: f64, limit: f64) -> f64 {
+    // Half the width of the interval in deviations; a logistic curve is within 0.01 of the normal one.
+    let z = limit / spread.max(f64::MIN_POSITIVE);
+    (2.0 / (1.0 + (-1.702 * z).exp()) - 1.0).clamp(0.0, 1.0)
+}
+
+/// Looks at some rows of a scene.
+struct Looker<'a> {
+    encoder: SceneEncoder<'a>,
+    sample: GaussianScene,
+}
+
+impl<'a> Looker<'a> {
+    fn new(encoder: &SceneEncoder<'a>, scene: &GaussianScene) -> Result<Self, EncodeError> {
+        let step = scene.len().div_ceil(ROWS).max(1);
+        let rows: Vec<usize> = (0..scene.len()).step_by(step).collect();
+        let sample = scene.select_rows(&rows).map_err(scenesplat_datasets::DataError::from)?;
+        let encoder = SceneEncoder { fidelity: Fidelity::Fast, codes: None, ..encoder.clone() };
+        Ok(Self { encoder, sample })
+    }
+
+    fn look(
+        &self,
+        alignment: &Alignment,
+        progress: &mut ProgressFn<'_>,
+    ) -> Result<SceneFeatures, EncodeError> {
+        self.encoder.encode_aligned(&self.sample, alignment.clone(), progress)
+    }
+}
+
+fn judged_up(
     encoder: &SceneEncoder<'_>,
     familiar: &Familiarity,
     scene: &GaussianScene,
@@ -80,7 +257,7 @@ pub fn judged(
 ///
 /// # Errors
 /// As [`judged`].
-pub fn looks(
+fn looks(
     encoder: &SceneEncoder<'_>,
     familiar: &Familiarity,
     scene: &GaussianScene,
@@ -88,17 +265,17 @@ pub fn looks(
     up: &UpGuess,
     progress: &mut ProgressFn<'_>,
 ) -> Result<Vec<Look>, EncodeError> {
-    let step = scene.len().div_ceil(ROWS).max(1);
-    let rows: Vec<usize> = (0..scene.len()).step_by(step).collect();
-    let sample = scene.select_rows(&rows).map_err(scenesplat_datasets::DataError::from)?;
-    let encoder = SceneEncoder { fidelity: Fidelity::Fast, codes: None, ..encoder.clone() };
+    let looker = Looker::new(encoder, scene)?;
     let best = up.candidates.first().map_or(0.0, |c| c.score);
     let tried = up.candidates.iter().filter(|c| c.score >= best - REACH).take(MOST);
     let mut looks = Vec::new();
     for &UpEvidence { direction, score, .. } in tried {
         let guess = UpGuess { direction, ..up.clone() };
-        let alignment = Alignment::with_up(&sample, settings, guess, true);
-        let features = encoder.encode_aligned(&sample, alignment, progress)?;
+        let mut alignment = Alignment::with_up(&looker.sample, settings, guess, true);
+        if alignment.is_size_open() {
+            alignment.make_as_high_as_rooms(&looker.sample, settings);
+        }
+        let features = looker.look(&alignment, progress)?;
         if let Some(strangeness) = familiar.strangeness(&features)? {
             looks.push(Look { direction, strangeness, score });
         }

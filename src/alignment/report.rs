@@ -20,6 +20,9 @@ pub struct AlignmentReport {
     pub confidence: f64,
     /// How sure the unit is, 0..=1; `None` if nothing speaks against the meter.
     pub unit_confidence: Option<f64>,
+    /// What things of known size say about the unit, if the network looked for them.
+    #[serde(default)]
+    pub unit_evidence: Option<String>,
     /// Whether the user said which way is up.
     pub given: bool,
     /// Whether the network decided between directions that the scene leaves open.
@@ -54,7 +57,11 @@ impl Alignment {
             scale: self.scale,
             origin: self.origin,
             confidence: up.confidence,
-            unit_confidence: self.unit.as_ref().map(|unit| unit.confidence),
+            unit_confidence: match &self.sized {
+                Some(sized) => Some(sized.confidence),
+                None => self.unit.as_ref().map(|unit| unit.confidence),
+            },
+            unit_evidence: self.sized.as_ref().map(|sized| sized.evidence.clone()),
             given: up.given,
             judged: self.judged,
             evidence: up.evidence.clone(),

@@ -23,7 +23,7 @@ pub use findings::{Finding, Severity};
 pub use floaters::{Floaters, find_floaters};
 pub(crate) use rates::PROCESS_BYTES;
 pub use statistics::{Border, Histogram, Quantiles};
-pub use unit::{LengthUnit, UnitGuess};
+pub use unit::{LengthUnit, ReadUnit, SizedUnit, UnitGuess};
 pub(crate) use unit::{guess_unit, is_surely_no_metre, may_be_no_metre, usual_spacing};
 
 use crate::NetworkConfig;
@@ -43,6 +43,8 @@ pub struct InspectSettings {
     pub from_points: bool,
     /// Which way is up, if it is known; judged by the shape of the scene if not.
     pub up: Option<UpGuess>,
+    /// In what unit a network reads the scene, if it is known; judged by the extent if not.
+    pub unit: Option<ReadUnit>,
     /// Voxel size, meters.
     pub grid_size: f64,
     /// The network to estimate the cost of, and its name; `None`: no estimate.
@@ -53,7 +55,14 @@ pub struct InspectSettings {
 
 impl Default for InspectSettings {
     fn default() -> Self {
-        Self { from_points: false, up: None, grid_size: 0.02, network: None, machine_bytes: None }
+        Self {
+            from_points: false,
+            up: None,
+            unit: None,
+            grid_size: 0.02,
+            network: None,
+            machine_bytes: None,
+        }
     }
 }
 
@@ -85,8 +94,10 @@ pub struct Inspection {
     pub spacing: Option<f64>,
     /// Which way seems to be up.
     pub up: UpGuess,
-    /// What one unit seems to be; `None` without any extent.
+    /// What one unit seems to be; `None` without any extent, or where it is none of the usual ones.
     pub unit: Option<UnitGuess>,
+    /// The unit by things of known size, if a network looked for them.
+    pub sized: Option<SizedUnit>,
     /// Spherical-harmonic degree that the file declares.
     pub sh_degree: u8,
     /// Highest degree with a coefficient that could change a color.
@@ -147,6 +158,7 @@ pub fn inspect(loaded: &LoadedScene, settings: &InspectSettings) -> Inspection {
     let near = neighbourhood::neighbourhood(scene, &zone);
     let (voxels, too_wide) = content::voxels(scene, settings.grid_size, &zone);
     let unit = unit::guess_unit(&robust, near.spacing);
+    let (unit, sized) = unit::as_read(unit, settings.unit.as_ref());
     let up = settings.up.clone().unwrap_or_else(|| guess_up(scene, loaded.stated_up));
     let sh_bands = content::sh_bands(scene);
     let sh_degree_used = sh_bands.iter().filter(|b| b.rows > 0).map(|b| b.band).max().unwrap_or(0);
@@ -173,6 +185,7 @@ pub fn inspect(loaded: &LoadedScene, settings: &InspectSettings) -> Inspection {
         spacing: near.spacing,
         up,
         unit,
+        sized,
         sh_degree: scene.sh_degree,
         sh_degree_used,
         sh_bands,

@@ -1,7 +1,7 @@
 //! An inspection as lines of text.
 
 use super::unit::short;
-use super::{Distribution, Estimate, Finding, Inspection, Quantiles, UnitGuess};
+use super::{Distribution, Estimate, Finding, Inspection, Quantiles};
 use crate::memory::Bytes;
 use std::fmt;
 
@@ -18,7 +18,14 @@ impl Inspection {
         let of_all = (self.bounds != self.robust_bounds).then(|| self.bounds.extent());
         let b = self.robust_bounds;
         let centre = [0, 1, 2].map(|a| short((b.low[a] + b.high[a]) / 2.0)).join(", ");
-        let unit = |u: &UnitGuess| format!("{}, {}", u.unit.symbol(), sure(u.confidence));
+        let unit = match (&self.sized, &self.unit) {
+            (Some(sized), _) => {
+                Some(format!("{} m, {}", short(sized.metres), sure(sized.confidence)))
+            }
+            (None, unit) => {
+                unit.as_ref().map(|u| format!("{}, {}", u.unit.symbol(), sure(u.confidence)))
+            }
+        };
         let up = &self.up;
         let how = if up.given { "as given".to_owned() } else { sure(up.confidence) };
         let harmonics = match (self.sh_degree, self.sh_degree_used) {
@@ -32,7 +39,7 @@ impl Inspection {
             ("all of it", of_all.map(|extent| format!("{} m", sides(extent)))),
             ("centre", Some(centre)),
             ("relative to", self.origin.map(|[x, y, z]| format!("{x}, {y}, {z}"))),
-            ("unit", self.unit.as_ref().map(unit)),
+            ("unit", unit),
             ("up", Some(format!("{}, {how}", up.direction))),
             ("spacing", self.spacing.map(|s| format!("{} m to the 4th neighbour", short(s)))),
             ("scale", Some(five(&self.largest_scale, " m"))),
@@ -83,9 +90,11 @@ impl fmt::Display for Inspection {
             writeln!(f, "  {what:<11} {value}")?;
         }
         let about_up = (!self.up.given).then_some(("up", &self.up.evidence));
-        for (what, why) in
-            about_up.into_iter().chain(self.unit.iter().map(|u| ("unit", &u.evidence)))
-        {
+        let about_unit = match (&self.sized, &self.unit) {
+            (Some(sized), _) => Some(&sized.evidence),
+            (None, unit) => unit.as_ref().map(|unit| &unit.evidence),
+        };
+        for (what, why) in about_up.into_iter().chain(about_unit.map(|why| ("unit", why))) {
             writeln!(f, "  why {what:<7} {why}")?;
         }
         writeln!(f, "capture effects, severity 0 to 5 (no: below its threshold)")?;

@@ -49,6 +49,51 @@ pub struct UnitGuess {
     pub evidence: String,
 }
 
+/// The unit of a scene as a network reads it, by things of known size or the height of walls.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct SizedUnit {
+    /// Meters per unit.
+    pub metres: f64,
+    /// The probability that it is off by less than a tenth, 0..=1.
+    pub confidence: f64,
+    /// What speaks for it.
+    pub evidence: String,
+}
+
+/// In what unit a network reads a scene.
+#[derive(Debug, Clone, PartialEq)]
+pub enum ReadUnit {
+    /// As the extent says.
+    Clear,
+    /// As the extent says, which leaves it open.
+    Open,
+    /// By what is in the scene.
+    Sized(SizedUnit),
+}
+
+/// The confidence in meters where neither walls nor things say how large a scene is.
+const OPEN: f64 = 0.5;
+
+/// The unit by the extent, as far as a network that reads the scene does not know better.
+pub(super) fn as_read(
+    guess: Option<UnitGuess>,
+    read: Option<&ReadUnit>,
+) -> (Option<UnitGuess>, Option<SizedUnit>) {
+    match (read, guess) {
+        (Some(ReadUnit::Sized(sized)), _) => {
+            let SizedUnit { confidence, evidence, .. } = sized.clone();
+            let guess = UnitGuess { unit: LengthUnit::Metre, confidence, evidence };
+            ((sized.metres == 1.0).then_some(guess), Some(sized.clone()))
+        }
+        (Some(ReadUnit::Open), Some(mut guess)) if guess.unit == LengthUnit::Metre => {
+            guess.confidence = guess.confidence.min(OPEN);
+            guess.evidence += "; neither walls nor things of known size tell";
+            (Some(guess), None)
+        }
+        (_, guess) => (guess, None),
+    }
+}
+
 /// A scene this large, with Gaussians this far apart, is no capture in meters: an aerial survey of a
 /// kilometer has them closer, terrain of some hundred meters is smaller.
 const LARGE: f64 = 600.0;

@@ -85,6 +85,7 @@ pub fn run(args: &Args, line: &str) -> Result<()> {
         let settings = InspectSettings {
             from_points: opened.converted,
             up: Some(alignment.up.clone()),
+            unit: Some(alignment.read_unit()),
             grid_size: config.model.grid_size,
             network: Some((name, config)),
             machine_bytes: machine_memory().map(|bytes| bytes.0),
@@ -119,7 +120,8 @@ pub fn run(args: &Args, line: &str) -> Result<()> {
     Ok(())
 }
 
-/// How `segment` would read the scene. The network inside the program is run only where the scene leaves up open.
+/// How `segment` would read the scene. The network inside the program is run only where the scene leaves up or the unit
+/// open.
 fn alignment(
     session: &Session<'_>,
     args: &Args,
@@ -134,7 +136,7 @@ fn alignment(
         ..AlignmentSettings::default()
     };
     let found = session.shape_alignment(opened, &settings);
-    if !found.is_open() || !network.is_embedded() {
+    if !(found.is_open() || found.is_size_open()) || !network.is_embedded() {
         return Ok(found);
     }
     let network = Network::load(embedded::config()?, &Weights::Embedded, WeightOptions::default())?;

@@ -6,9 +6,8 @@ use crate::flags::Inference;
 use crate::progress::interrupted;
 use anyhow::Result;
 use scenesplat::SceneEncoder;
-use scenesplat::alignment::judge::judged;
+use scenesplat::alignment::judge::Judge;
 use scenesplat::alignment::{Alignment, AlignmentSettings, Remark};
-use scenesplat::familiarity::Familiarity;
 use scenesplat::inference::EncodeError;
 use scenesplat::outputs::OpenedScene;
 use scenesplat::scene::Up;
@@ -29,8 +28,8 @@ impl Session<'_> {
         })
     }
 
-    /// As [`shape_alignment`](Self::shape_alignment); where the shape leaves up open, the network inside the program,
-    /// which the encoder runs, decides.
+    /// As [`shape_alignment`](Self::shape_alignment); where the shape leaves up or the unit open, the network inside the
+    /// program, which the encoder runs, decides.
     pub fn judged_alignment(
         &self,
         opened: &OpenedScene,
@@ -38,14 +37,17 @@ impl Session<'_> {
         encoder: &SceneEncoder<'_>,
     ) -> Result<Alignment> {
         let found = self.shape_alignment(opened, settings);
-        if !found.is_open() || found.judged {
+        let is_decided = found.judged || found.sized.is_some();
+        if is_decided || !(found.is_open() || found.is_size_open()) {
             return Ok(found);
         }
         let _stage = self.receipt.stage("alignment");
-        self.progress
-            .say("which way is up is unclear: the network looks at the scene in several poses");
-        let (scene, familiar) = (&opened.loaded.scene, Familiarity::embedded()?);
-        let found = judged(encoder, &familiar, scene, settings, found, &mut |_| {
+        if found.is_open() {
+            self.progress
+                .say("which way is up is unclear: the network looks at the scene in several poses");
+        }
+        let scene = &opened.loaded.scene;
+        let found = Judge::embedded()?.decide(encoder, scene, settings, found, &mut |_| {
             if interrupted() { Err(EncodeError::Stopped) } else { Ok(()) }
         })?;
         Ok(self.remember(opened, settings, found))
@@ -165,6 +167,11 @@ fn setting(remark: &Remark) -> Option<(&'static str, String, &'static str)> {
             format!("{by:.4}"),
             "meters per unit, by the height of the walls; the network read a copy in meters",
         ),
+        Remark::ScaledBySize { by, .. } => (
+            "unit",
+            format!("{by:.4}"),
+            "meters per unit, by the sizes of things; the network read a copy in meters",
+        ),
         Remark::UpUnclear { .. } | Remark::UnitUnclear { .. } => return None,
     };
     Some((name, value, why))
@@ -192,8 +199,12 @@ fn text(remark: &Remark, given: bool) -> String {
              the axes; files keep their frame (--as-is to leave it)"
         ),
         Remark::ScaledToRoom { by, height } => format!(
-            "the walls are {height:.2} units high, and no room is: the network reads a copy with \
-             {by:.3} m per unit; files keep their unit (--unit m if these are metres)"
+            "THE UNIT IS A GUESS: the walls are {height:.2} units high, and no room is, so the network reads a copy with \
+             {by:.3} m per unit; files keep their unit (--unit METRES if you know it, --unit m if these are metres)"
+        ),
+        Remark::ScaledBySize { by, confidence } => format!(
+            "THE UNIT IS A GUESS by the sizes of things: {by:.3} m per unit, off by less than a tenth with confidence \
+             {confidence:.2}; the network reads a copy in metres, files keep their unit (--unit METRES if you know it)"
         ),
         Remark::UpUnclear { likely, confidence } => format!(
             "WHICH WAY IS UP IS UNCLEAR (confidence {confidence:.2}): {likely} is taken, \

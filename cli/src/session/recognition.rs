@@ -32,10 +32,10 @@ impl Session<'_> {
             self.progress.say(why);
             return Ok(None);
         }
-        let upright = frame(self, opened, inference).upright;
+        let turn = frame(self, opened, inference).turn;
         let _stage = self.receipt.stage("recognition");
         let scene = &opened.loaded.scene;
-        let square = squareness(scene, &upright);
+        let square = squareness(scene, &turn);
         let Some(found) = Recognition::embedded()?.of(features, surfaces, square)? else {
             let why = "codes, or features without direction, do not tell what of a scene is known";
             self.receipt.setting("known", "not judged", why);

@@ -11,3 +11,4 @@ pub mod poses;
 pub mod reader;
 pub mod recognition;
 pub mod severity;
+pub mod yardsticks;

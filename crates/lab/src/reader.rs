@@ -1,7 +1,6 @@
 //! Reads scenes as `segment` does, with the network inside the program.
 
-use scenesplat::alignment::judge::judged;
-use scenesplat::familiarity::Familiarity;
+use scenesplat::alignment::judge::Judge;
 use scenesplat::inference::EncodeError;
 use scenesplat::network::{NetworkError, WeightOptions, Weights};
 use scenesplat::objects::ObjectError;
@@ -29,7 +28,7 @@ type Result<T> = std::result::Result<T, ReadError>;
 /// The network inside the program.
 pub struct Reader {
     network: Network,
-    familiar: Familiarity,
+    judge: Judge,
 }
 
 /// A scene as the network read it.
@@ -58,7 +57,7 @@ impl Reader {
     /// # Errors
     /// If the program was built with broken files.
     pub fn of(network: Network) -> Result<Self> {
-        Ok(Self { network, familiar: Familiarity::embedded()? })
+        Ok(Self { network, judge: Judge::embedded()? })
     }
 
     /// How a scene lies, by its shape and, where that leaves it open, the network.
@@ -72,7 +71,7 @@ impl Reader {
     ) -> Result<Alignment> {
         let settings = AlignmentSettings { square: self.network.is_square(), ..*settings };
         let (encoder, shape) = (SceneEncoder::new(&self.network), Alignment::of(scene, &settings));
-        Ok(judged(&encoder, &self.familiar, scene, &settings, shape, &mut |_| Ok(()))?)
+        Ok(self.judge.decide(&encoder, scene, &settings, shape, &mut |_| Ok(()))?)
     }
 
     /// Features and surfaces of a scene that lies so.
@@ -80,12 +79,12 @@ impl Reader {
     /// # Errors
     /// If the network refuses the scene.
     pub fn read(&self, scene: &GaussianScene, alignment: Alignment) -> Result<Read> {
-        let (upright, metres) = (alignment.upright(), alignment.scale);
+        let (turn, metres) = (alignment.rotation(), alignment.scale);
         let encoder = SceneEncoder::new(&self.network);
         Ok(Read {
             features: encoder.encode_aligned(scene, alignment, &mut |_| Ok(()))?,
-            surfaces: scene_surfaces(scene, &upright, metres, &SurfaceSettings::default())?,
-            squareness: squareness(scene, &upright),
+            surfaces: scene_surfaces(scene, &turn, metres, &SurfaceSettings::default())?,
+            squareness: squareness(scene, &turn),
         })
     }
 }

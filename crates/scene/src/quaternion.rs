@@ -25,8 +25,8 @@ pub(crate) fn axes_by_size(size: [f32; 3]) -> [usize; 3] {
 /// Which way the first of the ways to write an ellipsoid looks: any direction, far from the axes.
 const SIDE: [f64; 3] = [0.5, 0.4, 0.77];
 
-/// One of the 24 ways to write an ellipsoid as sizes and quaternion `w, x, y, z` (`w ≥ 0`), drawn by where
-/// it is and how large, and thus the same whichever of the 24 is given.
+/// One of the 24 ways to write an ellipsoid as sizes and quaternion `w, x, y, z` (`w ≥ 0`), drawn by its look and
+/// the ratios of its sizes, and thus the same whichever of the 24 is given, and in any place and unit.
 ///
 /// Scenes spell ellipsoids by the habit of what made them, near the identity or not; a network that
 /// was trained on all spellings reads this one as it has learned to. A fixed choice, such as normals
@@ -36,9 +36,9 @@ const SIDE: [f64; 3] = [0.5, 0.4, 0.77];
 /// length keep their order, so that spellings of a disc or a ball stay several.
 ///
 /// # Shapes
-/// - `scale`: standard deviations along the principal axes, any unit, or their logarithms
-/// - `coord`: the center
-pub fn drawn_axes(scale: [f32; 3], quat: [f32; 4], coord: [f32; 3]) -> ([f32; 3], [f32; 4]) {
+/// - `scale`: standard deviations along the principal axes, any unit
+/// - `look`: color and opacity, any range: what a Gaussian keeps wherever it lies
+pub fn drawn_axes(scale: [f32; 3], quat: [f32; 4], look: [f32; 4]) -> ([f32; 3], [f32; 4]) {
     let q = quat.map(f64::from);
     let squared = q.iter().map(|v| v * v).sum::<f64>();
     if !(squared.is_finite() && squared > 0.0) || scale.iter().any(|s| s.is_nan()) {
@@ -52,11 +52,13 @@ pub fn drawn_axes(scale: [f32; 3], quat: [f32; 4], coord: [f32; 3]) -> ([f32; 3]
     let [first, second] = [0, 1].map(|k| to_side(columns[order[k]]));
     let axes = [first, second, cross(first, second)];
     let sizes = order.map(|k| scale[k]);
-    // Which of them: by what no spelling changes, and rounding, as another unit brings it, hardly ever:
-    // sizes to one part in a thousand, places to a thousandth.
-    let rough = sizes.map(|s| u64::from(s.to_bits().saturating_add(1 << 12) >> 13));
-    let places = coord.map(|c| ((c * 1024.0).round() as i64) as u64);
-    let bits = rough.into_iter().chain(places).fold(0x9e37_79b9_7f4a_7c15_u64, |hash, v| {
+    // Which of them: by what neither a spelling nor a pose changes, and rounding hardly ever: ratios to one part in
+    // a thousand.
+    let rough = [1, 2].map(|k| sizes[k] / sizes[0]).map(|ratio| {
+        if ratio.is_finite() { u64::from(ratio.to_bits().saturating_add(1 << 12) >> 13) } else { 0 }
+    });
+    let looks = look.map(|v| u64::from(v.to_bits()));
+    let bits = rough.into_iter().chain(looks).fold(0x9e37_79b9_7f4a_7c15_u64, |hash, v| {
         let mixed = (hash ^ v).wrapping_mul(0xd134_2543_de82_ef95);
         mixed ^ (mixed >> 29)
     });
@@ -78,9 +80,20 @@ pub fn drawn_axes(scale: [f32; 3], quat: [f32; 4], coord: [f32; 3]) -> ([f32; 3]
         if is_turned != (is_swapped && k == 2) { -1.0 } else { 1.0 }
     };
     let turned = [0, 1, 2].map(|k| axes[picked[k]].map(|c| sign(k) * c));
-    let quat = matrix_to_quat(&transposed(&turned));
-    let positive = if quat[0] < 0.0 { -1.0 } else { 1.0 };
-    (picked.map(|k| sizes[k]), quat.map(|v| (positive * v) as f32))
+    let quat = one_sign(matrix_to_quat(&transposed(&turned)));
+    (picked.map(|k| sizes[k]), quat.map(|v| v as f32))
+}
+
+/// Of the two signs of a unit quaternion the one with `w ≥ 0`; of half a turn, where `w` is 0 but for a fifth of a
+/// degree, the one whose first large component is positive, so that rounding does not decide.
+fn one_sign(quat: [f64; 4]) -> [f64; 4] {
+    const HALF_TURN: f64 = 2e-3;
+    // The largest component of half a turn is at least √⅓; of as large ones the first counts.
+    const LARGE: f64 = 0.9;
+    let most = quat.iter().fold(0.0, |most: f64, v| most.max(v.abs()));
+    let first = quat.iter().find(|v| v.abs() >= LARGE * most).copied().unwrap_or(1.0);
+    let decides = if quat[0].abs() < HALF_TURN { first } else { quat[0] };
+    if decides < 0.0 { quat.map(|v| -v) } else { quat }
 }
 
 #[cfg(test)]
@@ -125,17 +138,33 @@ mod tests {
         let quats = [[0.9, 0.1, -0.3, 0.2], [0.1, 0.7, 0.5, -0.4], [-0.3, 0.2, 0.8, 0.4]];
         for (i, quat) in quats.into_iter().enumerate() {
             let quat = quat_product([1.0, 0.0, 0.0, 0.0], quat);
-            let (scale, coord) = ([0.3, 0.02, 0.1], [1.0, i as f32, -0.4]);
+            let (scale, look) = ([0.3, 0.02, 0.1], [1.0, i as f32, -0.4, 0.9]);
             let all = spellings(scale, quat);
             assert_eq!(all.len(), 24);
-            let (due_scale, due) = drawn_axes(scale, quat, coord);
-            assert!(due[0] >= 0.0);
+            let (due_scale, due) = drawn_axes(scale, quat, look);
+            assert!(due[0] >= -2e-3);
             for (scale, quat) in all {
-                let (found_scale, found) = drawn_axes(scale, quat, coord);
+                let (found_scale, found) = drawn_axes(scale, quat, look);
                 assert_eq!(found_scale, due_scale);
                 assert!((0..4).all(|i| (found[i] - due[i]).abs() < 1e-5), "{found:?} {due:?}");
                 let (a, b) = (covariance(scale, quat), covariance(found_scale, found));
                 assert!((0..9).all(|i| (a[i / 3][i % 3] - b[i / 3][i % 3]).abs() < 1e-6));
+            }
+        }
+    }
+
+    #[test]
+    fn a_small_turn_changes_a_quaternion_little() {
+        let angle = 1e-4f64;
+        let small = [(angle / 2.0).cos(), 0.0, 0.0, (angle / 2.0).sin()];
+        for i in 0..200u16 {
+            let look = [f32::from(i), 1.0, 2.0, 1.0];
+            // Along the axes, where many spellings are half a turn.
+            let (_, due) = drawn_axes([0.3, 0.02, 0.1], [1.0, 0.0, 0.0, 0.0], look);
+            for turn in [small, [small[0], 0.0, 0.0, -small[3]]] {
+                let quat = quat_product(turn, [1.0, 0.0, 0.0, 0.0]);
+                let (_, found) = drawn_axes([0.3, 0.02, 0.1], quat, look);
+                assert!((0..4).all(|k| (found[k] - due[k]).abs() < 1e-3), "{found:?} {due:?}");
             }
         }
     }
@@ -147,7 +176,8 @@ mod tests {
         let mut counts = [0u32; 24];
         let all = spellings(scale, quat);
         for i in 0..2400u16 {
-            let (_, found) = drawn_axes(scale, quat, [0.01 * f32::from(i), 1.0, 2.0]);
+            let (_, found) =
+                drawn_axes(scale, quat, [f32::from(i % 256), f32::from(i / 256), 2.0, 1.0]);
             let same = |s: &([f32; 3], [f32; 4])| {
                 (0..4).map(|k| s.1[k] * found[k]).sum::<f32>().abs() > 0.999
             };
@@ -157,26 +187,27 @@ mod tests {
     }
 
     #[test]
-    fn rounding_hardly_ever_draws_another_one() {
+    fn another_unit_hardly_ever_draws_another_one() {
         let quat = quat_product([1.0, 0.0, 0.0, 0.0], [0.9, 0.1, -0.3, 0.2]);
-        let nearly = |v: f32| v * 1000.0 * 0.001;
-        let changed = (0..2000u16).filter(|i| {
-            let x = 0.0037 * f32::from(*i);
-            let (scale, coord) = ([0.31 + 0.01 * x, 0.021, 0.1], [x, 1.3 - x, 0.7 * x]);
-            let (_, a) = drawn_axes(scale, quat, coord);
-            let (_, b) = drawn_axes(scale.map(nearly), quat, coord.map(nearly));
-            (0..4).any(|k| (a[k] - b[k]).abs() > 1e-3)
-        });
-        assert!(changed.count() < 20);
+        for unit in [0.3048, 1.0 / 0.3048, 1000.0] {
+            let changed = (0..2000u16).filter(|i| {
+                let x = 0.0037 * f32::from(*i);
+                let (scale, look) = ([0.31 + 0.01 * x, 0.021, 0.1], [x, 1.3 - x, 0.7 * x, 1.0]);
+                let (_, a) = drawn_axes(scale, quat, look);
+                let (_, b) = drawn_axes(scale.map(|s| unit * s), quat, look);
+                (0..4).any(|k| (a[k] - b[k]).abs() > 1e-3)
+            });
+            assert!(changed.count() < 20);
+        }
     }
 
     #[test]
     fn what_is_no_ellipsoid_comes_back() {
         for (scale, quat) in [([1.0; 3], [0.0; 4]), ([1.0; 3], [f32::INFINITY, 0.0, 0.0, 0.0])] {
-            assert_eq!(drawn_axes(scale, quat, [0.0; 3]), (scale, quat));
+            assert_eq!(drawn_axes(scale, quat, [0.0; 4]), (scale, quat));
         }
-        let (scale, quat) = drawn_axes([f32::NAN, 1.0, 1.0], [1.0, 0.0, 0.0, 0.0], [0.0; 3]);
+        let (scale, quat) = drawn_axes([f32::NAN, 1.0, 1.0], [1.0, 0.0, 0.0, 0.0], [0.0; 4]);
         assert!(scale[0].is_nan() && quat == [1.0, 0.0, 0.0, 0.0]);
-        assert!(drawn_axes([1.0; 3], [f32::NAN; 4], [0.0; 3]).1[0].is_nan());
+        assert!(drawn_axes([1.0; 3], [f32::NAN; 4], [0.0; 4]).1[0].is_nan());
     }
 }

@@ -77,7 +77,9 @@ pub fn run(args: Arguments) -> anyhow::Result<()> {
     std::fs::write(&path, familiar.to_safetensors()?)?;
     println!("wrote {}", path.display());
     calibrate(&network, hash.clone(), &assets)?;
-    crate::recognition::write(&Reader::of(network)?, hash, &assets)
+    let reader = Reader::of(network)?;
+    crate::yardsticks::write(&reader, hash.clone(), &assets)?;
+    crate::recognition::write(&reader, hash, &assets)
 }
 
 /// Weights of one network, or the mean of those of several with the same names and shapes; counters are the first one's.

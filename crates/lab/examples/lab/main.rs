@@ -12,6 +12,7 @@
 //! | `recognition` | `fit`, or scenes: `+FILE` for a room, `-FILE` for what is none, `@N` for N parts of it |
 //! | `room-edits` | rooms, seed, folder of a model (embedded), part of the names of lines (all) |
 //! | `self-supervised-terms` | experiment, steps (5), sums of terms (all) |
+//! | `yardsticks` | `fit` or `check` |
 
 mod effect_thresholds;
 mod embedded_assets;
@@ -21,6 +22,7 @@ mod poses;
 mod recognition;
 mod room_edits;
 mod self_supervised_terms;
+mod yardsticks;
 
 use anyhow::{Context, Result, bail};
 use std::error::Error;
@@ -61,6 +63,7 @@ fn main() -> Result<()> {
         "recognition" => recognition::run(args),
         "room-edits" => room_edits::run(args),
         "self-supervised-terms" => self_supervised_terms::run(args),
+        "yardsticks" => yardsticks::run(args),
         _ => bail!("there is no measurement {name:?}"),
     }
 }

@@ -71,12 +71,12 @@ impl Leveling {
 }
 
 /// A flat Gaussian.
-pub(super) struct Flat {
-    pub(super) coord: DVec3,
+struct Flat {
+    coord: DVec3,
     /// Unit, with z ≥ 0.
-    pub(super) normal: DVec3,
+    normal: DVec3,
     /// Product of the two longer axes times opacity.
-    pub(super) surface: f64,
+    surface: f64,
 }
 
 /// How to make the floor of a scene level, whose up is +z within 25 degrees.
@@ -113,7 +113,7 @@ pub fn level(scene: &GaussianScene) -> Leveling {
     found
 }
 
-pub(super) fn flats(scene: &GaussianScene, bounds: &Bounds) -> Vec<Flat> {
+fn flats(scene: &GaussianScene, bounds: &Bounds) -> Vec<Flat> {
     let step = scene.len().div_ceil(SAMPLE).max(1);
     (0..scene.len())
         .step_by(step)

@@ -6,14 +6,12 @@ mod level;
 mod merge;
 mod sample;
 mod turn;
-mod walls;
 
 pub use crop::CropBox;
 pub use level::{Leveling, level};
 pub use merge::{MergeReport, merge};
 pub use sample::SampleSize;
 pub use turn::{EulerAngles, FrameChange, Offset};
-pub use walls::Walls;
 
 use crate::up::{StatedUp, Up, UpGuess, guess_up};
 use crate::{GaussianScene, SceneError, Similarity};

@@ -12,11 +12,13 @@ mod peaks;
 mod plane;
 mod squareness;
 mod surface;
+mod walls;
 
 pub use direction::Up;
 pub(crate) use direction::shortest_to_z;
 pub use evidence::UpEvidence;
 pub use squareness::squareness;
+pub use walls::Walls;
 
 use crate::GaussianScene;
 use crate::frame::{Matrix3, product};

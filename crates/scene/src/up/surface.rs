@@ -1,10 +1,11 @@
 //! The surface of a scene as up is judged by: pieces with a place, a normal and an area.
 
+use crate::frame::{Matrix3, apply};
 use crate::quantile::quantile;
 use crate::quaternion::axes_by_size;
 use crate::singular_values::singular_values;
 use crate::vector::rotation;
-use crate::{GaussianScene, gaussian_scene::sigmoid};
+use crate::{GaussianScene, Similarity, gaussian_scene::sigmoid};
 use glam::DVec3;
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -49,6 +50,8 @@ pub(super) struct Piece {
 pub(super) struct Surface {
     /// Its pieces, in the order of the rows.
     pub(super) pieces: Vec<Piece>,
+    /// The middle of the scene.
+    pub(super) middle: DVec3,
     /// Twice the distance from the middle within which nearly all rows lie.
     pub(super) size: f64,
 }
@@ -57,7 +60,7 @@ impl Surface {
     /// Looks at a scene; without any finite row there are no pieces. Normals are those of flat Gaussians, or, where
     /// few are flat, of planes through neighbors.
     pub(super) fn of(scene: &GaussianScene) -> Self {
-        let mut surface = Self::of_places(scene, piece);
+        let mut surface = Self::of_places(scene, &Similarity::IDENTITY.rotation, piece);
         let flat = surface.flat().count() as f64;
         if flat < FEWEST_FLAT * surface.pieces.len() as f64 {
             fit_planes(&mut surface.pieces, CELL * surface.size);
@@ -66,10 +69,10 @@ impl Surface {
         surface
     }
 
-    /// As [`of`](Self::of), with the normals of planes through neighbors, however Gaussians lie.
-    pub(super) fn of_planes(scene: &GaussianScene) -> Self {
+    /// As [`of`](Self::of) of a turned scene, with the normals of planes through neighbors, however Gaussians lie.
+    pub(super) fn of_planes(scene: &GaussianScene, turn: &Matrix3) -> Self {
         let round = |_: &GaussianScene, _, place| Piece { place, normal: DVec3::ZERO, area: 0.0 };
-        let mut surface = Self::of_places(scene, round);
+        let mut surface = Self::of_places(scene, turn, round);
         let mut side = CELL * surface.size;
         // Sparse scenes have no plane in small cells.
         while side < COARSEST * surface.size
@@ -84,22 +87,26 @@ impl Surface {
 
     fn of_places(
         scene: &GaussianScene,
+        turn: &Matrix3,
         piece: impl Fn(&GaussianScene, usize, DVec3) -> Piece,
     ) -> Self {
-        let Some((middle, reach)) = middle(scene) else {
-            return Self { pieces: Vec::new(), size: 0.0 };
-        };
         let step = scene.len().div_ceil(SAMPLE).max(1);
-        let pieces: Vec<Piece> = (0..scene.len())
+        let there: Vec<(usize, DVec3)> = (0..scene.len())
             .step_by(step)
-            .filter_map(|row| {
-                let place = DVec3::from(scene.coord[row].map(f64::from)) - middle;
-                // NaN is no place.
-                (place.length() <= reach).then(|| piece(scene, row, place))
-            })
+            .map(|row| (row, DVec3::from(apply(turn, scene.coord[row].map(f64::from)))))
+            .filter(|(_, place)| place.is_finite())
+            .collect();
+        let Some((middle, reach)) = middle(&there) else {
+            return Self { pieces: Vec::new(), middle: DVec3::ZERO, size: 0.0 };
+        };
+        let pieces: Vec<Piece> = there
+            .into_iter()
+            .map(|(row, place)| (row, place - middle))
+            .filter(|(_, place)| place.length() <= reach)
+            .map(|(row, place)| piece(scene, row, place))
             .collect();
         let size = size(&pieces);
-        Self { pieces, size }
+        Self { pieces, middle, size }
     }
 
     /// Pieces that have a normal.
@@ -109,18 +116,14 @@ impl Surface {
 }
 
 /// The middle of a scene, and how far from it a row may be.
-fn middle(scene: &GaussianScene) -> Option<(DVec3, f64)> {
-    let step = scene.len().div_ceil(SAMPLE).max(1);
-    let is_there = |p: &&[f32; 3]| p.iter().all(|v| v.is_finite());
-    let rows: Vec<&[f32; 3]> = scene.coord.iter().step_by(step).filter(is_there).collect();
+fn middle(there: &[(usize, DVec3)]) -> Option<(DVec3, f64)> {
     let mut median = [0.0; 3];
     for (axis, value) in median.iter_mut().enumerate() {
-        let mut values: Vec<f32> = rows.iter().map(|p| p[axis]).collect();
+        let mut values: Vec<f32> = there.iter().map(|(_, p)| p[axis] as f32).collect();
         *value = f64::from(quantile(&mut values, 0.5)?);
     }
     let middle = DVec3::from(median);
-    let away = |p: &&[f32; 3]| (DVec3::from(p.map(f64::from)) - middle).length() as f32;
-    let mut away: Vec<f32> = rows.iter().map(away).collect();
+    let mut away: Vec<f32> = there.iter().map(|(_, p)| (*p - middle).length() as f32).collect();
     let usual = quantile(&mut away, 0.5)?;
     // Where half of the rows are one point, the others are the scene.
     let usual = if usual > 0.0 { usual } else { quantile(&mut away, 0.99)? };
