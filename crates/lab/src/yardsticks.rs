@@ -30,7 +30,7 @@ pub fn rooms(seed: u64) -> impl Iterator<Item = Result<GaussianScene, Recognitio
         .flat_map(move |capture| (0..ROOMS).map(move |number| room(seed, number, capture)))
 }
 
-/// What is measured of an upright scene in meters, in each of the [`UNITS`], as meters.
+/// What is measured of an upright scene in meters, in three units, as meters.
 ///
 /// # Errors
 /// If the network refuses it.
