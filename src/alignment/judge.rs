@@ -10,7 +10,7 @@ use crate::embedded;
 use crate::familiarity::Familiarity;
 use crate::inference::{EncodeError, Fidelity, ProgressFn, SceneEncoder, SceneFeatures};
 use crate::network::NetworkError;
-use crate::yardsticks::{self, Yardsticks, nearest_text};
+use crate::yardsticks::{self, Measured, Yardsticks, nearest_text};
 use scenesplat_scene::{GaussianScene, TextTable, UpEvidence, UpGuess, robust_bounds};
 
 /// Directions that are tried at most.
@@ -129,10 +129,7 @@ impl Judge {
         let mut measured = None;
         for round in 1..=ROUNDS {
             let features = looker.look(&found, progress)?;
-            let labels = nearest_text(&features, &self.texts)?;
-            let copy = found.apply(&looker.sample);
-            let heights: Vec<f32> = copy.coord.iter().map(|p| found.floors.height(p[2])).collect();
-            let things = yardsticks::measured(&self.texts.names, &labels, &heights);
+            let things = things(&self.texts, &features, &found, &looker.sample)?;
             let Some(by) = self.yardsticks.compare(&things) else { return Ok(shape) };
             let is_settled = by.factor.ln().abs() <= SETTLED;
             if !is_settled && round < ROUNDS {
@@ -168,12 +165,12 @@ impl Judge {
             alignment.unit = None;
             alignment.remarks.retain(|remark| !remark.is_of_unit());
             alignment.sized = Some(UnitBySize {
-                confidence: within(spread, METRE),
+                confidence: within(metres.ln(), spread, TENTH),
                 evidence: evidence("things are as large as in rooms in meters"),
             });
             return Ok(alignment);
         }
-        let confidence = within(spread, TENTH);
+        let confidence = within(0.0, spread, TENTH);
         found.unit = None;
         found.remarks.retain(|remark| !remark.is_of_unit());
         found.remarks.insert(0, Remark::ScaledBySize { by: found.scale, confidence });
@@ -193,11 +190,37 @@ impl Alignment {
     }
 }
 
-/// The probability that a normal deviate of this spread is less than `limit` from 0.
-fn within(spread: f64, limit: f64) -> f64 {
-    // Half the width of the interval in deviations; a logistic curve is within 0.01 of the normal one.
-    let z = limit / spread.max(f64::MIN_POSITIVE);
-    (2.0 / (1.0 + (-1.702 * z).exp()) - 1.0).clamp(0.0, 1.0)
+/// The probability that a normal deviate of this mean and spread is less than `limit` from 0.
+fn within(mean: f64, spread: f64, limit: f64) -> f64 {
+    // A logistic curve is within 0.01 of the normal one.
+    let below =
+        |at: f64| 1.0 / (1.0 + (-1.702 * (at - mean) / spread.max(f64::MIN_POSITIVE)).exp());
+    (below(limit) - below(-limit)).clamp(0.0, 1.0)
+}
+
+/// The rows of a scene that are looked at.
+///
+/// # Errors
+/// If the scene has fields of different lengths.
+pub fn sample(scene: &GaussianScene) -> Result<GaussianScene, EncodeError> {
+    let step = scene.len().div_ceil(ROWS).max(1);
+    let rows: Vec<usize> = (0..scene.len()).step_by(step).collect();
+    Ok(scene.select_rows(&rows).map_err(scenesplat_datasets::DataError::from)?)
+}
+
+/// How high the things are that the features of a scene say are in it, as the network reads it.
+///
+/// # Errors
+/// If features went to a file and cannot be read.
+pub fn things(
+    texts: &TextTable,
+    features: &SceneFeatures,
+    alignment: &Alignment,
+    scene: &GaussianScene,
+) -> Result<Measured, EncodeError> {
+    let copy = alignment.apply(scene);
+    let heights: Vec<f32> = copy.coord.iter().map(|p| alignment.floors.height(p[2])).collect();
+    Ok(yardsticks::measured(&texts.names, &nearest_text(features, texts)?, &heights))
 }
 
 /// Looks at some rows of a scene.
@@ -208,9 +231,7 @@ struct Looker<'a> {
 
 impl<'a> Looker<'a> {
     fn new(encoder: &SceneEncoder<'a>, scene: &GaussianScene) -> Result<Self, EncodeError> {
-        let step = scene.len().div_ceil(ROWS).max(1);
-        let rows: Vec<usize> = (0..scene.len()).step_by(step).collect();
-        let sample = scene.select_rows(&rows).map_err(scenesplat_datasets::DataError::from)?;
+        let sample = sample(scene)?;
         let encoder = SceneEncoder { fidelity: Fidelity::Fast, codes: None, ..encoder.clone() };
         Ok(Self { encoder, sample })
     }
@@ -281,4 +302,23 @@ fn looks(
         }
     }
     Ok(looks)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::within;
+
+    #[test]
+    fn confidence_is_the_share_of_a_normal_curve() {
+        for (mean, spread, limit, due) in [
+            (0.0, 0.1, 0.1, 0.683),
+            (0.0, 0.05, 0.1, 0.954),
+            (0.1, 0.05, 0.1, 0.5),
+            (0.3, 0.05, 0.1, 0.0),
+        ] {
+            let found = within(mean, spread, limit);
+            assert!((found - due).abs() < 0.025, "{mean} {spread}: {found}");
+        }
+        assert_eq!(within(0.0, 0.0, 0.1), 1.0);
+    }
 }

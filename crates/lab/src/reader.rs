@@ -74,15 +74,23 @@ impl Reader {
         Ok(self.judge.decide(&encoder, scene, &settings, shape, &mut |_| Ok(()))?)
     }
 
+    /// Features of a scene that lies so.
+    ///
+    /// # Errors
+    /// If the network refuses the scene.
+    pub fn features(&self, scene: &GaussianScene, alignment: Alignment) -> Result<SceneFeatures> {
+        let encoder = SceneEncoder::new(&self.network);
+        Ok(encoder.encode_aligned(scene, alignment, &mut |_| Ok(()))?)
+    }
+
     /// Features and surfaces of a scene that lies so.
     ///
     /// # Errors
     /// If the network refuses the scene.
     pub fn read(&self, scene: &GaussianScene, alignment: Alignment) -> Result<Read> {
         let (turn, metres) = (alignment.rotation(), alignment.scale);
-        let encoder = SceneEncoder::new(&self.network);
         Ok(Read {
-            features: encoder.encode_aligned(scene, alignment, &mut |_| Ok(()))?,
+            features: self.features(scene, alignment)?,
             surfaces: scene_surfaces(scene, &turn, metres, &SurfaceSettings::default())?,
             squareness: squareness(scene, &turn),
         })

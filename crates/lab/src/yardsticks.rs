@@ -5,19 +5,16 @@ use crate::reader::{ReadError, Reader};
 use crate::recognition::RecognitionError;
 use crate::recognition::scenes::room;
 use scenesplat::AlignmentSettings;
-use scenesplat::inference::EncodeError;
+use scenesplat::alignment::judge::{sample, things};
 use scenesplat::rooms::Capture;
 use scenesplat::scene::{GaussianScene, Similarity, TextTable, Up};
-use scenesplat::yardsticks::{self, Measured, Yardsticks};
+use scenesplat::yardsticks::{Measured, Yardsticks};
 
 /// Rooms of each kind of capture.
 const ROOMS: u64 = 24;
 
 /// Units in which a room is looked at: a network sees it differently in each.
 const UNITS: [f64; 3] = [0.8, 1.0, 1.25];
-
-/// Rows that are looked at, as the program does.
-const ROWS: usize = 50_000;
 
 /// The rooms of a seed.
 ///
@@ -39,9 +36,7 @@ pub fn measured(
     texts: &TextTable,
     scene: &GaussianScene,
 ) -> Result<Vec<Measured>, ReadError> {
-    let step = scene.len().div_ceil(ROWS).max(1);
-    let rows: Vec<usize> = (0..scene.len()).step_by(step).collect();
-    let sample = scene.select_rows(&rows).map_err(|e| EncodeError::Data(e.into()))?;
+    let sample = sample(scene)?;
     let settings = AlignmentSettings {
         up: Some(Up::PLUS_Z),
         metres_per_unit: Some(1.0),
@@ -53,14 +48,8 @@ pub fn measured(
             let mut scaled = sample.clone();
             scaled.transform(&Similarity { scale: unit, ..Similarity::IDENTITY });
             let alignment = reader.alignment(&scaled, &settings)?;
-            let copy = alignment.apply(&scaled);
-            let floors = &alignment.floors;
-            let heights: Vec<f32> = copy.coord.iter().map(|p| floors.height(p[2])).collect();
-            let labels = yardsticks::nearest_text(
-                &reader.read(&scaled, alignment.clone())?.features,
-                texts,
-            )?;
-            let mut found = yardsticks::measured(&texts.names, &labels, &heights);
+            let features = reader.features(&scaled, alignment.clone())?;
+            let mut found = things(texts, &features, &alignment, &scaled)?;
             let all = found.values_mut().flat_map(|(heights, _)| heights);
             all.for_each(|height| *height -= unit.ln());
             Ok(found)

