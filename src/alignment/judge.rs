@@ -108,7 +108,9 @@ impl Judge {
             return Ok(alignment);
         }
         let looker = Looker::new(encoder, scene)?;
-        self.sized(&looker, scene, settings, alignment, progress)
+        let mut found = self.sized(&looker, scene, settings, alignment, progress)?;
+        found.warn_of_open_size(&looker.sample);
+        Ok(found)
     }
 
     /// With the unit by what the network finds in the scene.
@@ -183,10 +185,23 @@ impl Judge {
 impl Alignment {
     /// Reads a copy as high as rooms usually are, if the scene is by far not.
     fn make_as_high_as_rooms(&mut self, sample: &GaussianScene, settings: &AlignmentSettings) {
-        let height = robust_bounds(&self.apply(sample).coord).extent()[2];
-        if height > 0.0 && !(HEIGHTS[0]..=HEIGHTS[1]).contains(&height) {
+        if let Some(height) = self.height_of_no_room(sample) {
             self.scale_by(sample, settings, USUAL_HEIGHT / height);
         }
+    }
+
+    /// Says so where nothing was found that says how large the scene is.
+    fn warn_of_open_size(&mut self, sample: &GaussianScene) {
+        let is_open = self.sized.is_none() && !self.remarks.iter().any(Remark::is_of_unit);
+        if let Some(height) = self.height_of_no_room(sample).filter(|_| is_open) {
+            self.remarks.insert(0, Remark::SizeUnclear { height: height / self.scale });
+        }
+    }
+
+    /// Height of the scene as it is read, meters, if no room is so high.
+    fn height_of_no_room(&self, sample: &GaussianScene) -> Option<f64> {
+        let height = robust_bounds(&self.apply(sample).coord).extent()[2];
+        (height > 0.0 && !(HEIGHTS[0]..=HEIGHTS[1]).contains(&height)).then_some(height)
     }
 }
 
@@ -306,7 +321,36 @@ fn looks(
 
 #[cfg(test)]
 mod tests {
-    use super::within;
+    use super::{AlignmentSettings, Remark, within};
+    use crate::alignment::Alignment;
+    use scenesplat_scene::GaussianScene;
+
+    #[test]
+    fn a_scene_of_no_known_size_is_not_taken_for_meters_in_silence() {
+        // Points of a box; nothing in it says how large it is.
+        for (height, is_said) in [(0.3_f32, true), (2.5, false), (40.0, true)] {
+            let at = |i: u32, prime: u32| (i * prime % 1009) as f32 / 1008.0 * height;
+            let coord = (0..2000).map(|i| [at(i, 7), at(i, 31), at(i, 113)]).collect();
+            let scene = GaussianScene {
+                log_scale: vec![[-5.0; 3]; 2000],
+                quat: vec![[1.0, 0.0, 0.0, 0.0]; 2000],
+                opacity_logit: vec![1.0; 2000],
+                sh_dc: vec![[0.0; 3]; 2000],
+                coord,
+                ..GaussianScene::default()
+            };
+            let mut alignment = Alignment::of(&scene, &AlignmentSettings::default());
+            alignment.remarks.retain(|remark| !remark.is_of_unit());
+            alignment.warn_of_open_size(&scene);
+            let said = alignment.remarks.iter().find_map(|remark| match remark {
+                Remark::SizeUnclear { height } => Some(*height),
+                _ => None,
+            });
+            assert_eq!(said.is_some(), is_said, "{height}: {said:?}");
+            let off = said.map_or(0.0, |said| (said / f64::from(height) - 1.0).abs());
+            assert!(off < 0.1, "{height}: {said:?}");
+        }
+    }
 
     #[test]
     fn confidence_is_the_share_of_a_normal_curve() {

@@ -56,6 +56,11 @@ pub enum Remark {
         /// How sure.
         confidence: f64,
     },
+    /// Nothing says what the unit is, and in meters the scene would be no room; it is read as if it were the meter.
+    SizeUnclear {
+        /// Height of the scene, units.
+        height: f64,
+    },
 }
 
 impl Remark {
@@ -67,13 +72,14 @@ impl Remark {
                 | Self::ScaledToRoom { .. }
                 | Self::ScaledBySize { .. }
                 | Self::UnitUnclear { .. }
+                | Self::SizeUnclear { .. }
         )
     }
 
     /// Whether nothing was done about it, so that labels may be wrong.
     pub fn is_warning(&self) -> bool {
         match self {
-            Self::UpUnclear { .. } | Self::UnitUnclear { .. } => true,
+            Self::UpUnclear { .. } | Self::UnitUnclear { .. } | Self::SizeUnclear { .. } => true,
             // Heights of rooms differ by a fifth, and by what is in them a unit is found to a few percent.
             Self::ScaledToRoom { .. } | Self::ScaledBySize { .. } => true,
             Self::Turned { .. }

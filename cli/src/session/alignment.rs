@@ -172,7 +172,9 @@ fn setting(remark: &Remark) -> Option<(&'static str, String, &'static str)> {
             format!("{by:.4}"),
             "meters per unit, by the sizes of things; the network read a copy in meters",
         ),
-        Remark::UpUnclear { .. } | Remark::UnitUnclear { .. } => return None,
+        Remark::UpUnclear { .. } | Remark::UnitUnclear { .. } | Remark::SizeUnclear { .. } => {
+            return None;
+        }
     };
     Some((name, value, why))
 }
@@ -187,7 +189,7 @@ fn text(remark: &Remark, given: bool) -> String {
             if given { "" } else { ", by the shape of the scene" }
         ),
         Remark::Scaled { by } => format!(
-            "one unit is {by} m: the network reads a copy in metres; files keep their unit \
+            "one unit is {by} m: the network reads a copy in meters; files keep their unit \
              (--unit UNIT if it is another, --as-is to leave it)"
         ),
         Remark::Leveled { tilt } => format!(
@@ -200,11 +202,11 @@ fn text(remark: &Remark, given: bool) -> String {
         ),
         Remark::ScaledToRoom { by, height } => format!(
             "THE UNIT IS A GUESS: the walls are {height:.2} units high, and no room is, so the network reads a copy with \
-             {by:.3} m per unit; files keep their unit (--unit METRES if you know it, --unit m if these are metres)"
+             {by:.3} m per unit; files keep their unit (--unit METERS if you know it, --unit m if these are meters)"
         ),
         Remark::ScaledBySize { by, confidence } => format!(
             "THE UNIT IS A GUESS by the sizes of things: {by:.3} m per unit, off by less than a tenth with confidence \
-             {confidence:.2}; the network reads a copy in metres, files keep their unit (--unit METRES if you know it)"
+             {confidence:.2}; the network reads a copy in meters, files keep their unit (--unit METERS if you know it)"
         ),
         Remark::UpUnclear { likely, confidence } => format!(
             "WHICH WAY IS UP IS UNCLEAR (confidence {confidence:.2}): {likely} is taken, \
@@ -214,9 +216,13 @@ fn text(remark: &Remark, given: bool) -> String {
             let unit = likely.symbol();
             format!(
                 "THE UNIT IS UNCLEAR ({unit} is likeliest, confidence {confidence:.2}): the network \
-                 takes it for metres, and labels mean little if it is not; say it with --unit \
+                 takes it for meters, and labels mean little if it is not; say it with --unit \
                  {unit} or --unit m"
             )
         }
+        Remark::SizeUnclear { height } => format!(
+            "HOW LARGE THE SCENE IS IS UNCLEAR: it is {height:.3} units high, and nothing of known size was found in it; the \
+             network takes units for meters, and labels mean little if they are not; say it with --unit METERS"
+        ),
     }
 }

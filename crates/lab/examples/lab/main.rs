@@ -8,7 +8,7 @@
 //! | `embedded-assets` | folders of models, whose mean is taken; `SCENESPLAT_FURNITURE` |
 //! | `objects-of-rooms` | rooms (20), seed (2026) |
 //! | `picture-effects` | first room (200), rooms (8) |
-//! | `poses` | poses of each scene, `own` or `any` unit, scenes (files or `synthetic:SEED`) |
+//! | `poses` | poses of each scene, `own` or `any` unit, scenes (files, `synthetic:SEED` or `furnished:SEED`) |
 //! | `recognition` | `fit`, or scenes: `+FILE` for a room, `-FILE` for what is none, `@N` for N parts of it |
 //! | `room-edits` | rooms, seed, folder of a model (embedded), part of the names of lines (all) |
 //! | `self-supervised-terms` | experiment, steps (5), sums of terms (all) |

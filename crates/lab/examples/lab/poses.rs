@@ -1,12 +1,16 @@
 //! Whether labels depend on how a scene lies: `lab poses COUNT own|any SCENES...`, scenes as files or as
-//! `synthetic:SEED`.
+//! `synthetic:SEED`, `furnished:SEED` (models held out of `SCENESPLAT_FURNITURE`).
 
 use crate::Arguments;
 use anyhow::{Context, bail};
 use scenesplat::input::open_input;
-use scenesplat::rooms::{SyntheticRoomSettings, generate};
+use scenesplat::rooms::{FurnitureSplit, SyntheticRoomSettings, generate};
 use scenesplat::scene::{GaussianScene, ReadOptions, StatedUp};
 use scenesplat_lab::poses::{Labeller, PoseResult, poses};
+use std::env;
+
+/// Names the catalogue of furniture.
+const FURNITURE: &str = "SCENESPLAT_FURNITURE";
 
 /// Share of the labels that a pose without a warning keeps at least.
 const LEAST_SAME: f64 = 0.95;
@@ -33,12 +37,22 @@ pub fn run(mut args: Arguments) -> anyhow::Result<()> {
 }
 
 fn open(name: &str) -> anyhow::Result<(GaussianScene, StatedUp)> {
-    let Some(seed) = name.strip_prefix("synthetic:") else {
-        let (opened, _) = open_input(name.as_ref(), &ReadOptions::default())?;
-        return Ok((opened.loaded.scene, opened.loaded.stated_up));
+    let usual = SyntheticRoomSettings::default();
+    let settings = match name.split_once(':') {
+        Some(("synthetic", seed)) => {
+            SyntheticRoomSettings { seed: seed.parse().context("synthetic:SEED")?, ..usual }
+        }
+        Some(("furnished", seed)) => SyntheticRoomSettings {
+            seed: seed.parse().context("furnished:SEED")?,
+            furniture: Some(env::var_os(FURNITURE).context(FURNITURE)?.into()),
+            furniture_split: FurnitureSplit::HeldOut,
+            ..usual
+        },
+        _ => {
+            let (opened, _) = open_input(name.as_ref(), &ReadOptions::default())?;
+            return Ok((opened.loaded.scene, opened.loaded.stated_up));
+        }
     };
-    let seed = seed.parse().context("synthetic:SEED")?;
-    let settings = SyntheticRoomSettings { seed, ..SyntheticRoomSettings::default() };
     Ok((generate(&settings)?.scene, StatedUp::UPRIGHT))
 }
 
