@@ -1,14 +1,14 @@
 //! PLY files with one float per property, as 3D Gaussian splatting trainers write them.
 
+use super::color_columns::read_colors;
 use super::label_column::{has_labels, read_instance, read_segment};
 use super::language_columns::{CODE_COLUMN, codebook_element, read_language_code};
 use super::memory::zeroed;
 use super::ply::{
-    ColumnSource, ColumnValues, Gather, PlyColumn, PlyElement, PlyFile, PlyPropertyKind, PlyType,
-    write_new_ply,
+    ColumnSource, ColumnValues, Gather, PlyColumn, PlyElement, PlyFile, write_new_ply,
 };
 use super::{LoadedScene, ReadOptions, SceneFormat, WriteOptions, WriteProgress, WriteReport};
-use crate::gaussian_scene::{SH_C0, u8_to_dc};
+use crate::gaussian_scene::u8_to_dc;
 use crate::value_policy::{DEFAULT_GREY, DEFAULT_SCALE, FLAT_SCALE, Rule};
 use crate::{AtomicFile, GaussianScene, RepairReport, SceneError, StatedUp, Up};
 use std::path::Path;
@@ -24,7 +24,8 @@ const SCORE: &str = "score";
 ///
 /// Required are `x y z`; doubles far from 0 are kept relative to an origin. The others have defaults, each reported: `scale_0..2` (0.01 m; one scale
 /// counts for all axes; without `scale_2` the third axis is 1e-7 m), `rot_0..3` (`w x y z`; no
-/// rotation), `opacity` (alpha 1), `f_dc_0..2` (from `red green blue`, else gray). Read if there:
+/// rotation), `opacity` (alpha 1), `f_dc_0..2` (from `red green blue`, `r g b` or
+/// `diffuse_red diffuse_green diffuse_blue`, in bytes, 16 bits or fractions, else gray). Read if there:
 /// `f_rest_*` (all of one degree), `nx ny nz` (unless all are 0), `segment` or `label` with their
 /// `score`, `instance`, and `lang_code_*` with the element `lang_codebook`. Other properties are
 /// skipped.
@@ -184,25 +185,12 @@ impl Reader<'_> {
     }
 
     fn dc_from_colors(&mut self) -> Result<Vec<[f32; 3]>, SceneError> {
-        let rgb = ["red", "green", "blue"];
-        if !self.group(&rgb)? {
+        let Some(colors) = read_colors(self.file, self.vertex, &mut self.report)? else {
             self.missing(Rule::ColorMissing);
             return Ok(vec![[u8_to_dc(DEFAULT_GREY); 3]; self.vertex.count]);
-        }
+        };
         self.report.add(Rule::ColorFromBytes, self.vertex.count, 0, "");
-        let table: Vec<f32> = (0..=255).map(u8_to_dc).collect();
-        let types = rgb.map(|n| self.vertex.property(n).map(|p| p.kind));
-        if types == [Some(PlyPropertyKind::Scalar(PlyType::U8)); 3] {
-            let rows = self.file.rows_u8(VERTEX, rgb)?;
-            return Ok(rows.iter().map(|row| row.map(|v| table[usize::from(v)])).collect());
-        }
-        let float = |kind| matches!(kind, Some(PlyPropertyKind::Scalar(ty)) if ty.is_float());
-        if types.into_iter().all(float) {
-            let rows = self.file.rows_f32(VERTEX, rgb)?;
-            return Ok(rows.into_iter().map(|row| row.map(|v| (v - 0.5) / SH_C0)).collect());
-        }
-        let problem = "red, green and blue are neither uchar nor float";
-        Err(SceneError::format(self.file.path(), problem, "export colours as f_dc_0..2 or uchar"))
+        Ok(colors.dc())
     }
 
     /// The columns of the higher harmonics in the order of the scene; none for degree 0.

@@ -1,5 +1,6 @@
 //! Labeled point clouds in PLY: what predictions are compared with.
 
+use super::color_columns::read_colors;
 use super::label_column::{INSTANCE_RULES, SEGMENT_RULES, read_labels};
 use super::ply::PlyFile;
 use crate::gaussian_scene::retain_flagged;
@@ -47,7 +48,7 @@ impl LabelledCloud {
 }
 
 /// Reads `x y z`, labels (the named column, or the first of [`LABEL_NAMES`]) and, if there, `nx ny nz`,
-/// `red green blue` as bytes, and `instance`.
+/// `red green blue` in any range, and `instance`.
 ///
 /// Positions that are doubles far from 0 are kept relative to an origin. Negative labels and 65535 in 16-bit columns become -1. A point without a finite position is
 /// left out and reported.
@@ -91,9 +92,7 @@ pub fn read_labelled_ply(
     if all(["nx", "ny", "nz"]) {
         cloud.normal = Some(file.rows_f32(VERTEX, ["nx", "ny", "nz"])?);
     }
-    if all(["red", "green", "blue"]) {
-        cloud.color = Some(file.rows_u8(VERTEX, ["red", "green", "blue"])?);
-    }
+    cloud.color = read_colors(&file, vertex, &mut report)?.map(|colors| colors.bytes());
     if let Some(name) = INSTANCE_NAMES.into_iter().find(|name| vertex.has(name)) {
         let ids = read_labels(&file, VERTEX, name, INSTANCE_RULES, &mut report)?;
         cloud.instance = Some(ids);

@@ -3,6 +3,7 @@
 //! [`open_scene`] finds out what a path holds by looking into it, never by its name.
 
 pub mod cameras;
+mod color_columns;
 pub mod compressed_ply;
 pub(crate) mod files;
 pub mod gltf;
@@ -14,6 +15,7 @@ pub mod labelled_ply;
 mod language_columns;
 mod limit_tally;
 pub(crate) mod memory;
+mod named;
 pub mod npy;
 pub mod npy_folder;
 pub mod npy_writer;
@@ -26,6 +28,7 @@ pub mod sog;
 pub mod splat;
 pub mod spz;
 pub mod table;
+mod trained_folder;
 pub mod write;
 
 pub(crate) use packed_values::unit_f64;

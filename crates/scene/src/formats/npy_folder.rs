@@ -9,6 +9,7 @@ mod writer;
 pub use writer::write_npy_folder;
 pub(super) use writer::write_npy_scene;
 
+use super::color_columns::{ColorType, FileColors};
 use super::label_column::{
     INSTANCE_RULES, LabelRules, SEGMENT_RULES, labels_from_f64, labels_from_i64,
 };
@@ -16,7 +17,7 @@ use super::labelled_ply::finite_points;
 use super::npy::{NpyFile, NpyType};
 use super::semantics::clean_code;
 use super::{LoadedScene, ReadOptions, SceneFormat};
-use crate::gaussian_scene::{SH_C0, probability_to_logit, u8_to_dc};
+use crate::gaussian_scene::{probability_to_logit, u8_to_dc};
 use crate::place::{NO_ORIGIN, origin_of, sample_rows};
 use crate::value_policy::{DEFAULT_GREY, DEFAULT_SCALE, Rule};
 use crate::{
@@ -203,17 +204,14 @@ impl Reader<'_> {
         if file.shape() != [self.rows, 3] {
             return Err(wrong_shape(&file, Some(self.rows), "3"));
         }
-        if !file.ty().is_float() {
-            let table: Vec<f32> = (0..=255).map(u8_to_dc).collect();
-            let dc: Vec<f32> = file.read_u8()?.iter().map(|&v| table[usize::from(v)]).collect();
-            return Ok(dc.as_chunks::<3>().0.to_vec());
-        }
+        let ty = match file.ty() {
+            NpyType::UInt(1) => ColorType::Byte,
+            NpyType::UInt(2) => ColorType::Short,
+            NpyType::Float(_) => ColorType::Float,
+            _ => ColorType::Whole,
+        };
         let values = file.read_f32()?;
-        let largest = values.iter().copied().filter(|v| v.is_finite()).fold(0.0f32, f32::max);
-        let scale = if largest > 1.0 { 255.0 } else { 1.0 };
-        self.report.notes.push(format!("color.npy holds floats, read as 0 to {scale}"));
-        let dc: Vec<f32> = values.into_par_iter().map(|v| (v / scale - 0.5) / SH_C0).collect();
-        Ok(dc.as_chunks::<3>().0.to_vec())
+        Ok(FileColors::decide(values, ty, "color.npy", &mut self.report).dc())
     }
 
     /// Language features and which rows have one.

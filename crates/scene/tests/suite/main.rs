@@ -5,6 +5,7 @@
 mod common;
 
 mod cameras;
+mod colors;
 mod compressed_ply;
 mod editing;
 mod gltf;
@@ -23,3 +24,4 @@ mod sog_streamed;
 mod splat;
 mod spz;
 mod writing;
+mod wrong_files;
