@@ -1,8 +1,9 @@
 //! Labeled point clouds in PLY: what predictions are compared with.
 
-use super::color_columns::read_colors;
-use super::label_column::{INSTANCE_RULES, SEGMENT_RULES, read_labels};
+use super::color_columns::{color_names, read_colors};
+use super::label_column::{INSTANCE_RULES, SEGMENT_RULES, columns, read_labels};
 use super::ply::PlyFile;
+use crate::extra_columns::{UnreadColumn, label_names};
 use crate::gaussian_scene::retain_flagged;
 use crate::place::{NO_ORIGIN, less, origin_note, plus};
 use crate::value_policy::Rule;
@@ -34,6 +35,8 @@ pub struct LabelledCloud {
     pub instance: Option<Vec<i32>>,
     /// Rows of the file that the points come from, ascending; `None` if all of them.
     pub kept_rows: Option<Vec<u32>>,
+    /// What the file holds besides, which was not read.
+    pub unread: Vec<UnreadColumn>,
 }
 
 impl LabelledCloud {
@@ -74,7 +77,11 @@ pub fn read_labelled_ply(
     let Some(label) = (if label.is_some() { named } else { usual() }) else {
         let names = label.map_or_else(|| LABEL_NAMES.join(", "), str::to_owned);
         let problem = format!("its vertices have no labels ({names})");
-        return Err(SceneError::format(path, problem, "name the column of class indices `label`"));
+        let help = match label_names(&columns(vertex)) {
+            Some(names) => format!("those that look like labels: {names}"),
+            None => "name the column of class indices `label`".to_owned(),
+        };
+        return Err(SceneError::format(path, problem, help));
     };
     let mut report = RepairReport { source_rows: vertex.count, ..RepairReport::default() };
     file.report_trailing(vertex.count, &mut report);
@@ -97,6 +104,15 @@ pub fn read_labelled_ply(
         let ids = read_labels(&file, VERTEX, name, INSTANCE_RULES, &mut report)?;
         cloud.instance = Some(ids);
     }
+    let colors = color_names(vertex).unwrap_or_default();
+    let positions = ["x", "y", "z", "nx", "ny", "nz"];
+    let instances = INSTANCE_NAMES.into_iter().find(|name| vertex.has(name));
+    let is_read = |name: &str| {
+        positions.contains(&name)
+            || colors.contains(&name)
+            || [Some(label), instances].contains(&Some(name))
+    };
+    cloud.unread = file.unknown(vertex, is_read, &["face"], false)?.1;
     cloud.kept_rows = drop_unusable(&mut cloud, &mut report);
     report.enforce(policy, path)?;
     if cloud.coord.is_empty() {

@@ -89,7 +89,7 @@ pub(super) fn file(path: &Path, bytes: &[u8]) -> Named {
             named("is a Python pickle (a PyTorch checkpoint, perhaps)", CHECKPOINT)
         }
         _ if is_tar(bytes) => named("is a tar archive", UNPACK),
-        _ if is_json(bytes) => json(bytes),
+        _ if is_json(bytes) => json(path, bytes),
         _ => named(by_name(path, bytes), supported()),
     }
 }
@@ -198,7 +198,7 @@ fn first_entry(bytes: &[u8]) -> Option<&str> {
     std::str::from_utf8(bytes.get(30..30 + usize::from(length))?).ok()
 }
 
-fn json(bytes: &[u8]) -> Named {
+fn json(path: &Path, bytes: &[u8]) -> Named {
     if cameras::is_cameras_json(bytes) {
         return named("holds the cameras of a scene, not the scene", supported());
     }
@@ -210,7 +210,7 @@ fn json(bytes: &[u8]) -> Named {
         0..=MAX_JSON_BYTES => serde_json::from_slice(without_mark(bytes)).unwrap_or(Value::Null),
         _ => Value::Null,
     };
-    if is_lcc(&value) {
+    if is_lcc(&value) || path.extension().is_some_and(|e| e.eq_ignore_ascii_case("lcc")) {
         return named("is the description of an LCC scene", LCC);
     }
     if is_tileset(&value) {
@@ -230,7 +230,7 @@ fn is_lcc(value: &Value) -> bool {
 
 /// Whether JSON is the index of 3D Tiles, whose `asset` is like that of glTF.
 fn is_tileset(value: &Value) -> bool {
-    value["asset"].is_object() && value["root"].is_object() && value.get("geometricError").is_some()
+    value["asset"].is_object() && value["root"].is_object()
 }
 
 /// The files of a tile and those below it that may hold Gaussians, a few of them.

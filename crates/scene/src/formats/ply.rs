@@ -6,6 +6,7 @@
 //! faces of meshes, are read by [`PlyFile::lists`]; columns come from elements without them.
 
 mod ascii;
+mod extra;
 mod gather;
 mod header;
 mod layout;
@@ -14,6 +15,7 @@ mod positions;
 mod raw_rows;
 mod writer;
 
+pub(crate) use extra::{ANTIALIASED, PlyNumbers, Remarks};
 pub(crate) use gather::Gather;
 pub use header::{PlyElement, PlyEncoding, PlyProperty, PlyPropertyKind, PlyType};
 pub use lists::PlyLists;

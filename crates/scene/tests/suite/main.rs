@@ -11,6 +11,7 @@ mod editing;
 mod gltf;
 mod hostile;
 mod inria_ply;
+mod kept;
 mod ksplat;
 mod labelled_ply;
 mod npy;

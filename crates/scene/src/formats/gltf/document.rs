@@ -176,14 +176,13 @@ pub(super) struct Scene {
 }
 
 /// Whether the text is a JSON object with `asset`, as every glTF document. So has the index of 3D Tiles,
-/// which no glTF document is: it has a `geometricError`.
+/// which no glTF document is: it has a `root`.
 pub(super) fn has_asset(json: &[u8]) -> bool {
     #[derive(Deserialize)]
     struct Probe {
         #[serde(rename = "asset")]
         _asset: BTreeMap<String, IgnoredAny>,
-        #[serde(rename = "geometricError")]
-        geometric_error: Option<IgnoredAny>,
+        root: Option<IgnoredAny>,
     }
-    serde_json::from_slice::<Probe>(json).is_ok_and(|probe| probe.geometric_error.is_none())
+    serde_json::from_slice::<Probe>(json).is_ok_and(|probe| probe.root.is_none())
 }
