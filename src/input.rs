@@ -89,6 +89,7 @@ pub fn open_input(
         path: path.to_owned(),
         kind: SceneFormat::Ply,
         stated_up: SceneFormat::Ply.stated_up(),
+        unread: cloud.unread,
     };
     Ok((OpenedScene { loaded, converted: true }, Some(text)))
 }

@@ -103,7 +103,11 @@ fn draw_scene(
     let dc = |&row: &usize| colors[row].map(|c| (f32::from(c) / 255.0 - 0.5) / SH_C0);
     gaussians.sh = kept.iter().flat_map(dc).collect();
     gaussians.sh_degree = 0;
-    let mut settings = RasterSettings { far: f32::INFINITY, ..RasterSettings::gsplat_1_6() };
+    let mut settings = RasterSettings {
+        far: f32::INFINITY,
+        antialiased: scene.antialiased,
+        ..RasterSettings::gsplat_1_6()
+    };
     if let Some(near) = orbit.near {
         settings.near = near.max(1e-6) as f32;
     }

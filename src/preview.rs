@@ -110,6 +110,7 @@ pub fn render_preview(
     let framing = Framing::of(&discs, settings.open_rooms);
     let (kept, shown): (Vec<usize>, Vec<Disc>) =
         kept.into_iter().zip(discs).filter(|(_, d)| framing.shows(d.centre)).unzip();
+    let antialiased = rows.shapes.is_some_and(|shapes| shapes.antialiased);
     let gaussians = rows.shapes.map(|shapes| {
         let size = framing.top().size;
         splats::gather(rows, &shapes, &kept, size)
@@ -125,7 +126,8 @@ pub fn render_preview(
         let mut canvas = Canvas::new(view);
         // What the renderer refuses, such as far too many large Gaussians, is drawn as discs: a
         // preview is no reason to fail.
-        let rendered = gaussians.as_ref().map(|g| splats::draw(g, upright, &lens, &mut canvas));
+        let rendered =
+            gaussians.as_ref().map(|g| splats::draw(g, antialiased, upright, &lens, &mut canvas));
         if !matches!(rendered, Some(Ok(()))) {
             canvas.draw(&shown, &lens);
         }
@@ -194,8 +196,11 @@ mod tests {
             shapes: None,
         };
         let discs = render_preview(&rows, &[], settings).unwrap();
-        let shapes =
-            SplatShapes { quat: &vec![[1.0, 0.0, 0.0, 0.0]; n], scale: &vec![[0.02; 3]; n] };
+        let shapes = SplatShapes {
+            quat: &vec![[1.0, 0.0, 0.0, 0.0]; n],
+            scale: &vec![[0.02; 3]; n],
+            antialiased: false,
+        };
         let rows = PreviewRows { shapes: Some(shapes), ..rows };
         let splats = render_preview(&rows, &[], settings).unwrap();
         [discs, splats]
@@ -251,8 +256,11 @@ mod tests {
 
     #[test]
     fn a_single_needle_is_rendered() {
-        let shapes =
-            Some(SplatShapes { quat: &[[1.0, 0.0, 0.0, 0.0]], scale: &[[0.01, 0.01, 0.1]] });
+        let shapes = Some(SplatShapes {
+            quat: &[[1.0, 0.0, 0.0, 0.0]],
+            scale: &[[0.01, 0.01, 0.1]],
+            antialiased: false,
+        });
         let rows = PreviewRows {
             coord: &[[1.0, 2.0, 3.0]],
             color: &[[200, 40, 40]],
@@ -353,13 +361,14 @@ mod tests {
         let (mut quat, mut scale) = (vec![[0.0; 4]; coord.len()], vec![[0.02; 3]; coord.len()]);
         (quat[0], quat[1]) = ([f32::NAN; 4], [1.0, 0.0, 0.0, 0.0]);
         (scale[1], scale[2]) = ([f32::INFINITY; 3], [f32::MAX; 3]);
-        let shapes = Some(SplatShapes { quat: &quat, scale: &scale });
+        let shapes = Some(SplatShapes { quat: &quat, scale: &scale, antialiased: false });
         let color = &vec![[200, 40, 40]; coord.len()];
         let opacity = &vec![0.5; coord.len()];
         let rows = PreviewRows { color, opacity, shapes, ..rows };
         let left_out = red(&render_preview(&rows, &[], &small()).unwrap());
         let round = vec![[1.0, 0.0, 0.0, 0.0]; coord.len()];
-        let whole = SplatShapes { quat: &round, scale: &vec![[0.02; 3]; coord.len()] };
+        let whole =
+            SplatShapes { quat: &round, scale: &vec![[0.02; 3]; coord.len()], antialiased: false };
         let rows = PreviewRows { shapes: Some(whole), ..rows };
         let drawn = red(&render_preview(&rows, &[], &small()).unwrap());
         assert!(left_out == [0, 0] && drawn[0] > 100, "{left_out:?} {drawn:?}");
@@ -394,7 +403,7 @@ mod tests {
         let settings = PreviewSettings { view_size: 5, ..small() };
         let error = render_preview(&rows, &legend, &settings);
         assert!(matches!(error, Err(PreviewError::ViewSize { view_size: 5 })));
-        let shapes = Some(SplatShapes { quat: &[], scale: &[[1.0; 3]] });
+        let shapes = Some(SplatShapes { quat: &[], scale: &[[1.0; 3]], antialiased: false });
         let error = render_preview(&PreviewRows { shapes, ..rows }, &legend, &small());
         assert!(matches!(error, Err(PreviewError::Rows { field: "scale", .. })));
         let rows = PreviewRows { radius: &[1.0], ..rows };

@@ -127,6 +127,7 @@ impl SourceArgs {
             lang_feat: false,
             sh_rest: false,
             spz_frame: self.spz_frame.into(),
+            extra: false,
             lod: self.lod,
         }
     }

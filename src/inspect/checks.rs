@@ -8,7 +8,7 @@ use super::neighbourhood::{FEWEST_ROWS, Neighbourhood, reach};
 use super::statistics::{Counted, count_rows, largest};
 use super::unit::{LengthUnit, UnitGuess, is_surely_no_metre, short};
 use crate::memory::Bytes;
-use scenesplat_scene::{Bounds, GaussianScene, Up, UpGuess};
+use scenesplat_scene::{Bounds, GaussianScene, UnreadColumn, Up, UpGuess, label_names};
 
 /// A Gaussian is an outlier when its distance from the robust box exceeds so many of its diagonals.
 /// The badly converged capture of the calibration reaches 1.6, clean scenes 0.03.
@@ -339,4 +339,24 @@ fn percent(count: usize, of: usize) -> String {
         s if s >= 0.01 => format!("{s:.2} %"),
         _ => "fewer than 0.01 %".to_owned(),
     }
+}
+/// Most columns that a message lists.
+const MAX_LISTED: usize = 12;
+
+/// Columns that nothing reads, and which of them may be labels.
+pub(super) fn check_unread(findings: &mut Findings<'_>, unread: &[UnreadColumn]) {
+    if unread.is_empty() {
+        return;
+    }
+    let listed = unread.iter().take(MAX_LISTED).map(|c| format!("{} ({})", c.name, c.kind));
+    let listed = listed.collect::<Vec<_>>().join(", ");
+    let more = match unread.len().saturating_sub(MAX_LISTED) {
+        0 => String::new(),
+        more => format!(" and {more} more"),
+    };
+    let message = format!("the file also holds what nothing here reads: {listed}{more}");
+    let help = label_names(unread).map(|names| format!("choose {names} if these are its labels"));
+    findings
+        .add(Severity::Note, "unread_columns", Counted::of(0), message)
+        .help(&help.unwrap_or_default());
 }

@@ -33,7 +33,7 @@ use findings::Findings;
 use neighbourhood::Neighbourhood;
 use scenesplat_kernels::simd::Isa;
 pub use scenesplat_scene::{Bounds, UpEvidence, UpGuess};
-use scenesplat_scene::{LoadedScene, guess_up, raw_bounds, robust_bounds};
+use scenesplat_scene::{LoadedScene, UnreadColumn, guess_up, raw_bounds, robust_bounds};
 use serde::Serialize;
 
 /// Settings of [`inspect`].
@@ -120,6 +120,10 @@ pub struct Inspection {
     pub labels: Option<LabelCounts>,
     /// Language codes, if there are any.
     pub language_codes: Option<LanguageCodes>,
+    /// Whether the scene was trained for antialiased rendering, and is drawn so.
+    pub antialiased: bool,
+    /// Columns, arrays and elements of the file that nothing reads.
+    pub unread: Vec<UnreadColumn>,
     /// What the scene says about its capture, by effect.
     pub effects: EffectProfile,
     /// What is wrong, the worst first; empty for a clean scene.
@@ -197,6 +201,8 @@ pub fn inspect(loaded: &LoadedScene, settings: &InspectSettings) -> Inspection {
         has_normals: scene.normal.is_some(),
         labels: content::labels(scene),
         language_codes: content::language_codes(scene),
+        antialiased: scene.antialiased,
+        unread: loaded.unread.clone(),
         effects,
         findings: Vec::new(),
         notes: Vec::new(),
@@ -227,5 +233,6 @@ fn findings<'a>(
     checks::check_duplicates(&mut findings, &duplicates::find_duplicates(scene), rows);
     checks::check_opacity(&mut findings, scene, &seen.opacity);
     checks::check_harmonics(&mut findings, scene, seen.sh_degree_used);
+    checks::check_unread(&mut findings, &loaded.unread);
     findings
 }

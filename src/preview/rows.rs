@@ -26,6 +26,8 @@ pub struct SplatShapes<'a> {
     pub quat: &'a [[f32; 4]],
     /// Standard deviations, meters. `[N, 3]`
     pub scale: &'a [[f32; 3]],
+    /// Whether opacities make up for the low-pass of the picture, as the scene was trained.
+    pub antialiased: bool,
 }
 
 /// Sizes and opacities of a scene, to make [`PreviewRows`] of.
@@ -54,7 +56,8 @@ impl SceneRows {
     /// `color`: one per Gaussian of the same scene.
     pub fn rows<'a>(&'a self, scene: &'a GaussianScene, color: &'a [[u8; 3]]) -> PreviewRows<'a> {
         let Self { scale, radius, opacity } = self;
-        let shapes = Some(SplatShapes { quat: &scene.quat, scale });
+        let antialiased = scene.antialiased;
+        let shapes = Some(SplatShapes { quat: &scene.quat, scale, antialiased });
         PreviewRows { coord: &scene.coord, color, radius, opacity, shapes }
     }
 }

@@ -48,6 +48,7 @@ pub(super) fn gather(
 /// Draws Gaussians of the scene's own axes onto a canvas; the lens is of the upright ones.
 pub(super) fn draw(
     gaussians: &Gaussians,
+    antialiased: bool,
     upright: Upright,
     lens: &Lens,
     canvas: &mut Canvas,
@@ -79,7 +80,8 @@ pub(super) fn draw(
     };
     // As for discs: nothing directly before the camera.
     let near = (step_back + 0.02 * lens.size).max(f64::from(f32::MIN_POSITIVE)) as f32;
-    let settings = RasterSettings { near, far: f32::INFINITY, ..RasterSettings::gsplat_1_6() };
+    let settings =
+        RasterSettings { near, far: f32::INFINITY, antialiased, ..RasterSettings::gsplat_1_6() };
     let depth = DepthRequest { median: true, ..DepthRequest::default() };
     let picture =
         render(gaussians, &view, &settings, &RenderRequest { depth, ..RenderRequest::rgb() })?;

@@ -57,7 +57,8 @@ impl ReconstructionPictures {
             }
             Ok(gaussians)
         };
-        let mut settings = RasterSettings::gsplat_1_6();
+        let antialiased = scene.antialiased;
+        let mut settings = RasterSettings { antialiased, ..RasterSettings::gsplat_1_6() };
         settings.near = near.map_or(settings.near, |near| settings.near.max(near as f32));
         Ok(Self {
             scenes: [activated(scene)?, activated(&made.masked)?, activated(&made.reconstructed)?],

@@ -186,6 +186,7 @@ fn name_flags(finding: &mut Finding) {
     let flags = match finding.name.as_str() {
         "up" => "--up AXIS of every command; scenesplat convert SCENE OUT --up AXIS turns it",
         "memory" => "--max-memory SIZE of features, segment and query",
+        "unread_columns" if !finding.help.is_empty() => "--segment-name NAME of every command",
         "unit" => "--unit mm or km; scenesplat convert SCENE OUT --scale 0.001 (or 1000)",
         _ => return,
     };

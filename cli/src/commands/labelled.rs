@@ -15,7 +15,7 @@ use scenesplat::objects::{Catalogue, ObjectInput, ObjectSettings, find_objects};
 use scenesplat::outputs::OpenedScene;
 use scenesplat::recognition::{KNOWN, SURE};
 use scenesplat::scene::label_set::read_names;
-use scenesplat::scene::{LabelSet, ReadOptions, TextTable};
+use scenesplat::scene::{LabelSet, ReadOptions, TextTable, label_names};
 use scenesplat::{Network, SceneFeatures};
 use scenesplat_lab::compensation::Consumer;
 use std::path::{Path, PathBuf};
@@ -143,9 +143,15 @@ impl LabelArgs {
         let scene = &opened.loaded.scene;
         let labels = scene.segment.clone().ok_or_else(|| {
             let path = self.scene.display();
-            WrongUse(format!(
-                "--label-names: {path} carries no labels; leave it out to run a network"
-            ))
+            WrongUse(match label_names(&opened.loaded.unread) {
+                Some(names) => format!(
+                    "--label-names: {path} carries no column segment or label; choose with \
+                     --segment-name {names}, or leave out --label-names to run a network"
+                ),
+                None => format!(
+                    "--label-names: {path} carries no labels; leave it out to run a network"
+                ),
+            })
         })?;
         session.receipt.setting("labels", "scene", "labels that the scene carries");
         let scores = scene.segment_score.clone();

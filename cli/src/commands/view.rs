@@ -250,6 +250,11 @@ fn remarks(args: &Args, labelled: &Labelled, found: Option<&Catalogue>) -> Vec<S
     if let Some(text) = found.map(left_out).filter(|text| !text.is_empty()) {
         out.push(format!("Objects{text}."));
     }
+    if labelled.opened.loaded.scene.antialiased {
+        let text = "The scene was trained for antialiased rendering, which this page does not do: small things \
+                    look too solid from afar (render does it).";
+        out.push(text.to_owned());
+    }
     out.push("Colors are those of the zeroth harmonic, seen from every side alike.".to_owned());
     out
 }

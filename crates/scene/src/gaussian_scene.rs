@@ -1,6 +1,7 @@
 //! The scene in memory.
 
 use crate::SceneError;
+use crate::extra_columns::ExtraColumn;
 use crate::language_code::LanguageCode;
 use half::f16;
 
@@ -91,6 +92,11 @@ pub struct GaussianScene {
     pub valid_feat_mask: Option<Vec<bool>>,
     /// Labeled points to evaluate on; independent row count.
     pub labelled_points: Option<LabelledPoints>,
+    /// Columns whose meaning is not known, if they were asked for. `[N, …]` each
+    pub extra: Vec<ExtraColumn>,
+    /// Whether it was trained with opacities that make up for the low-pass of the picture, and looks as it
+    /// was trained only if it is drawn so.
+    pub antialiased: bool,
 }
 
 impl GaussianScene {
@@ -161,6 +167,7 @@ impl GaussianScene {
             check("lang_feat", feat.values.len().div_ceil(width), 1)?;
             check("lang_feat", feat.values.len() / width, 1)?;
         }
+        self.extra.iter().try_for_each(|column| column.check_rows(rows))?;
         optional("valid_feat_mask", self.valid_feat_mask.as_ref().map(Vec::len), 1)
     }
 
@@ -199,6 +206,10 @@ impl GaussianScene {
         }
         if let Some(a) = &mut self.lang_feat {
             compact(&mut a.values, a.dim, keep);
+        }
+        for column in &mut self.extra {
+            let width = column.row_bytes();
+            compact(&mut column.bytes, width, keep);
         }
     }
 
@@ -246,6 +257,8 @@ impl GaussianScene {
             }),
             valid_feat_mask: pick_some(&self.valid_feat_mask, rows),
             labelled_points: self.labelled_points.clone(),
+            extra: self.extra.iter().map(|column| column.select(rows)).collect(),
+            antialiased: self.antialiased,
         })
     }
 }
@@ -293,6 +306,7 @@ pub fn u8_to_dc(byte: u8) -> f32 {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::extra_columns::NumberType;
     use crate::language_code::LanguageCodebook;
 
     #[test]
@@ -343,6 +357,13 @@ mod tests {
             lang_feat: Some(LanguageFeatures { values: half(n * 3), dim: 3 }),
             valid_feat_mask: Some((0..n).map(|i| i % 2 == 0).collect()),
             labelled_points: None,
+            extra: vec![ExtraColumn {
+                name: "age".to_owned(),
+                ty: NumberType::UInt(2),
+                row_shape: vec![2],
+                bytes: (0..n as u8 * 4).collect(),
+            }],
+            antialiased: true,
         };
         scene.check_rows().unwrap();
         for flags in 1u32..1 << n {

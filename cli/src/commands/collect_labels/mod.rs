@@ -12,8 +12,8 @@ use crate::session::Session;
 use anyhow::Result;
 pub use args::Args;
 use args::{FRAMES, SegmentsArg};
-use scenesplat::rasterizer::Gaussians;
 use scenesplat::rasterizer::segments::{SegmentFolder, SegmentOptions};
+use scenesplat::rasterizer::{Gaussians, RasterSettings};
 use sources::Sources;
 use work::Work;
 
@@ -48,7 +48,9 @@ pub fn run(args: &Args, line: &str) -> Result<()> {
         (None, Some(most)) => choice::chosen(&session, photos, &gaussians, most)?,
         (None, None) => photos,
     };
-    let work = Work { session: &session, args, sources: &sources, gaussians: &gaussians };
+    let antialiased = args.lifting.antialiased.unwrap_or(opened.loaded.scene.antialiased);
+    let raster = RasterSettings { antialiased, ..RasterSettings::default() };
+    let work = Work { session: &session, args, sources: &sources, gaussians: &gaussians, raster };
     let cameras = work.run(&frames)?;
     {
         let _stage = session.receipt.stage("lifting");

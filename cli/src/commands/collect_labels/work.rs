@@ -23,6 +23,8 @@ pub(super) struct Work<'a> {
     pub(super) args: &'a Args,
     pub(super) sources: &'a Sources,
     pub(super) gaussians: &'a Gaussians,
+    /// How the scene is drawn.
+    pub(super) raster: RasterSettings,
 }
 
 impl Work<'_> {
@@ -78,6 +80,7 @@ impl Work<'_> {
             "mask": hash(mask.as_deref())?,
             "scene": scene,
             "source": scene.as_ref().map(|_| format!("{:?}", self.args.read_options())),
+            "antialiased": scene.as_ref().map(|_| self.raster.antialiased),
         });
         Ok(sha256(text.to_string().as_bytes()))
     }
@@ -130,8 +133,8 @@ impl Work<'_> {
 
     /// The scene as a camera sees it.
     fn drawn(&self, camera: &Camera) -> Result<RgbPicture> {
-        let (view, settings) = (View::from_camera(camera)?, RasterSettings::default());
-        let rendered = render(self.gaussians, &view, &settings, &RenderRequest::rgb())?;
+        let view = View::from_camera(camera)?;
+        let rendered = render(self.gaussians, &view, &self.raster, &RenderRequest::rgb())?;
         rendered_picture(&rendered).context("colours were asked for")
     }
 
@@ -139,7 +142,7 @@ impl Work<'_> {
     fn depth(&self, view: &View) -> Result<Vec<f32>> {
         let depth = DepthRequest { expected: true, ..DepthRequest::default() };
         let request = RenderRequest { depth, ..RenderRequest::default() };
-        let rendered = render(self.gaussians, view, &RasterSettings::default(), &request)?;
+        let rendered = render(self.gaussians, view, &self.raster, &request)?;
         solid_depth(&rendered).context("a depth was asked for")
     }
 

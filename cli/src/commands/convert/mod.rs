@@ -9,9 +9,10 @@ use crate::terminal::{print, write_text};
 use anyhow::Result;
 pub use args::Args;
 use checks::{check_paths, target_format};
+use read::Source;
 use scenesplat::inspect::{Floaters, find_floaters};
 use scenesplat::scene::edit::EditReport;
-use scenesplat::scene::{GaussianScene, WriteOptions, write_scene};
+use scenesplat::scene::{GaussianScene, Up, WriteOptions, write_scene};
 use serde_json::json;
 
 /// Runs the command.
@@ -19,8 +20,9 @@ pub fn run(args: &Args) -> Result<()> {
     let format = target_format(args)?;
     let progress = Progress::start(&args.running)?;
     check_paths(args, format)?;
-    let source = read::read(args, format, &progress)?;
-    let (scene, floaters) = without_floaters(args, source.scene, &progress)?;
+    let mut source = read::read(args, format, &progress)?;
+    let scene = std::mem::take(&mut source.scene);
+    let (scene, floaters) = without_floaters(args, scene, &progress)?;
     let before = scene.len();
     let (scene, edited) = args.edit(source.stated_up).apply(scene)?;
     if edited.rows.is_some() {
@@ -37,6 +39,7 @@ pub fn run(args: &Args) -> Result<()> {
         spz_frame: args.to_spz_frame.into(),
         lod_levels: args.lod_levels,
         overwrite: args.overwrite,
+        stated_up: args.stated_after(&source, &edited, &progress),
     };
     let step = format!("writing {}", format.name());
     let written = write_scene(&scene, &args.to, format, &options, &mut |done| {
@@ -60,6 +63,23 @@ pub fn run(args: &Args) -> Result<()> {
         write_text(path, &(serde_json::to_string_pretty(&done)? + "\n"))?;
     }
     Ok(())
+}
+
+impl Args {
+    /// The way up that the file is to state: as the source states it, turned like the scene.
+    fn stated_after(
+        &self,
+        source: &Source,
+        edited: &EditReport,
+        progress: &Progress,
+    ) -> Option<Up> {
+        let stated = source.says_up.then_some(source.stated_up.direction)?;
+        if self.rotate.is_some() || self.frame.is_some() {
+            progress.say("what the source says of up is left out: the scene was turned");
+            return None;
+        }
+        Some(if edited.up.is_some() { Up::PLUS_Z } else { stated })
+    }
 }
 
 /// The scene without floaters, if they are to be removed, and what was.

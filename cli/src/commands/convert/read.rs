@@ -17,6 +17,8 @@ pub struct Source {
     pub scene: GaussianScene,
     /// What the first file says about up.
     pub stated_up: StatedUp,
+    /// Whether all files say so themselves, unlike the conventions of their formats.
+    pub says_up: bool,
     /// Rows of all files.
     pub source_rows: usize,
     /// Rows that cannot be used.
@@ -28,6 +30,7 @@ pub struct Source {
 /// Reads all scenes, makes one of them, and computes its language codes.
 pub fn read(args: &Args, format: SceneFormat, progress: &Progress) -> Result<Source> {
     let options = ReadOptions {
+        extra: true,
         lang_feat: args.language_code.is_some() || format == SceneFormat::NpyFolder,
         sh_rest: args.sh != Some(0),
         ..args.source.options()
@@ -35,6 +38,7 @@ pub fn read(args: &Args, format: SceneFormat, progress: &Progress) -> Result<Sou
     let (mut scenes, mut about) = (Vec::new(), Vec::new());
     let (mut source_rows, mut dropped, mut kept) = (0, 0, None);
     let mut stated_up = None;
+    let mut says_up = true;
     for (number, path) in args.from.iter().enumerate() {
         progress.advance("reading", number as f64 / args.from.len() as f64);
         let (opened, remark) = open_input(path, &options)?;
@@ -54,8 +58,13 @@ pub fn read(args: &Args, format: SceneFormat, progress: &Progress) -> Result<Sou
             "format": if opened.converted { "points" } else { loaded.kind.name() },
             "gaussians": loaded.source_rows(),
             "read": loaded.report,
+            "left_behind": loaded.unread,
         }));
-        stated_up.get_or_insert(loaded.stated_up);
+        for left in &loaded.unread {
+            progress.say(format!("{}: left behind: {} ({})", path.display(), left.name, left.kind));
+        }
+        let first = *stated_up.get_or_insert(loaded.stated_up);
+        says_up &= first.source == StatedUp::COMMENT && loaded.stated_up == first;
         kept = loaded.kept_rows;
         scenes.push(loaded.scene);
     }
@@ -71,7 +80,7 @@ pub fn read(args: &Args, format: SceneFormat, progress: &Progress) -> Result<Sou
         _ => json!({ "scenes": about, "gaussians": source_rows, "notes": merged.notes }),
     };
     let stated_up = stated_up.unwrap_or_default();
-    Ok(Source { scene, stated_up, source_rows, dropped, about })
+    Ok(Source { scene, stated_up, says_up, source_rows, dropped, about })
 }
 
 /// Makes codes from the features of the scene or of a file.

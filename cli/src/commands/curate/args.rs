@@ -26,9 +26,10 @@ pub struct Args {
     /// The scene that was made of them.
     #[arg(long, value_name = "PATH", requires = "cameras")]
     pub scene: Option<PathBuf>,
-    /// The scene was made with antialiasing (optimise says so).
-    #[arg(long, requires = "scene")]
-    pub antialiased: bool,
+    /// Whether the scene was made with antialiasing; as its file says if not given.
+    #[arg(long, value_name = "BOOL", num_args = 0..=1, default_missing_value = "true",
+          require_equals = true, requires = "scene")]
+    pub antialiased: Option<bool>,
     /// Weights of LPIPS, as for compare; without them it is left out.
     #[arg(long, value_name = "FILE", requires = "scene")]
     pub lpips_weights: Option<PathBuf>,

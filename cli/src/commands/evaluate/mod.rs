@@ -14,8 +14,8 @@ pub use report::tell as tell_report;
 pub use scenes::{KINDS, one_by_one};
 use scenesplat::evaluation::{Evaluation, EvaluationError, Restraint};
 use scenesplat::outputs::OpenedScene;
+use scenesplat::scene::{LoadedScene, label_names};
 use scenesplat_lab::compensation::Consumer;
-use std::path::Path;
 use std::time::Instant;
 
 /// Runs the command.
@@ -65,7 +65,7 @@ fn score(
     source: Option<(&FeatureSource, &Wish)>,
 ) -> Result<()> {
     let (scene, path) = (&opened.loaded.scene, opened.loaded.path.as_path());
-    let explained = |error| explain(error, path);
+    let explained = |error| explain(error, &opened.loaded);
     let truth = evaluation.truth(scene, class_of).map_err(explained)?;
     let checked = {
         let _stage = session.receipt.stage("oracle");
@@ -98,15 +98,18 @@ fn score(
 }
 
 /// An error with the scene, and with the flags that help.
-fn explain(error: EvaluationError, path: &Path) -> anyhow::Error {
-    let scene = path.display();
+fn explain(error: EvaluationError, loaded: &LoadedScene) -> anyhow::Error {
+    let scene = loaded.path.display();
     match error {
         EvaluationError::UnknownLabel { .. } => {
             anyhow!("{scene}: {error}; give the names with --label-names")
         }
-        EvaluationError::NoLabels => anyhow!(
-            "{scene}: {error} (choose the labels with --segment-name, the classes with --class-map)"
-        ),
+        EvaluationError::NoLabels => match label_names(&loaded.unread) {
+            Some(names) => anyhow!("{scene}: {error} (choose with --segment-name {names})"),
+            None => anyhow!(
+                "{scene}: {error} (choose the labels with --segment-name, the classes with --class-map)"
+            ),
+        },
         EvaluationError::NoVoters => {
             WrongUse(format!("--vote-valid-only: {scene} has no valid_feat_mask")).into()
         }

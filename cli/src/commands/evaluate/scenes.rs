@@ -116,7 +116,9 @@ impl Input {
                 let path = PathBuf::from(id);
                 let kind = SceneFormat::Ply;
                 let stated_up = StatedUp::UPRIGHT;
-                let loaded = LoadedScene { scene, report, kept_rows: None, path, kind, stated_up };
+                let (kept_rows, unread) = (None, Vec::new());
+                let loaded =
+                    LoadedScene { scene, report, kept_rows, path, kind, stated_up, unread };
                 Ok(OpenedScene { loaded, converted: false })
             }
         }

@@ -7,6 +7,7 @@ use clap::ValueEnum;
 use clap::builder::TypedValueParser;
 use scenesplat::datasets::effects::plan::EffectChoices;
 use scenesplat::memory::Bytes;
+use scenesplat::rasterizer::RasterSettings;
 use scenesplat::rasterizer::lifting::{DepthTolerance, LiftSettings};
 use scenesplat::scene::Up;
 use std::path::PathBuf;
@@ -75,6 +76,11 @@ pub struct Args {
 /// How labels are lifted, wherever they come from.
 #[derive(Debug, Clone, clap::Args)]
 pub struct LiftArgs {
+    /// Whether the scene is drawn so that opacities make up for the low-pass; as its file says if not
+    /// given.
+    #[arg(long, value_name = "BOOL", num_args = 0..=1, default_missing_value = "true",
+          require_equals = true)]
+    pub antialiased: Option<bool>,
     /// Which pixels label a Gaussian.
     #[arg(long, value_enum, default_value_t = RuleArg::AlphaWeighted)]
     pub rule: RuleArg,
@@ -164,12 +170,17 @@ pub enum RobustRuleArg {
 
 impl Args {
     /// How weights are collected.
-    pub(super) fn settings(&self, depth: Option<DepthTolerance>) -> LiftSettings {
+    pub(super) fn settings(
+        &self,
+        depth: Option<DepthTolerance>,
+        antialiased: bool,
+    ) -> LiftSettings {
         let base = match self.lifting.rule {
             RuleArg::AlphaWeighted => LiftSettings::default(),
             RuleArg::CentrePixel => LiftSettings::centre_pixel(),
         };
         LiftSettings {
+            raster: RasterSettings { antialiased, ..base.raster },
             erosion: self.erode,
             depth,
             memory: self.lifting.max_memory.map_or(base.memory, |b| b.0),

@@ -13,7 +13,7 @@ impl Args {
     pub(super) fn decide_depth(
         &self,
         session: &Session<'_>,
-        gaussians: &Gaussians,
+        (gaussians, antialiased): (&Gaussians, bool),
         pictures: &Pictures<'_>,
     ) -> Result<Option<DepthTolerance>> {
         let note = |text: &str, on: bool| {
@@ -40,7 +40,7 @@ impl Args {
                 return Ok(Some(DepthTolerance::default()));
             }
         }
-        let effect = self.depth_effect(session, gaussians, pictures)?;
+        let effect = self.depth_effect(session, (gaussians, antialiased), pictures)?;
         let found = effect.misleading.map_or("unknown".to_owned(), |m| format!("{m:.3}"));
         let chosen = if effect.helps() { "render" } else { "off" };
         session.progress.say(format!(
@@ -62,7 +62,7 @@ impl Args {
     fn depth_effect(
         &self,
         session: &Session<'_>,
-        gaussians: &Gaussians,
+        (gaussians, antialiased): (&Gaussians, bool),
         pictures: &Pictures<'_>,
     ) -> Result<DepthEffect> {
         let _stage = session.receipt.stage("depth agreement");
@@ -77,7 +77,7 @@ impl Args {
                 Some((dim, probe)) => (*dim, probe),
                 none => {
                     let dim = picture.segments.dim;
-                    let new = DepthProbe::new(gaussians, dim, &self.settings(None))?;
+                    let new = DepthProbe::new(gaussians, dim, &self.settings(None, antialiased))?;
                     (dim, &mut none.insert((dim, new)).1)
                 }
             };

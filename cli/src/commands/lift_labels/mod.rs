@@ -78,10 +78,12 @@ impl Args {
         let views = pictures::views(cameras, matches, &self.cameras)?;
         let pictures =
             Pictures::new(folder, pictures::paired(&views, matches), &self.lifting.depth);
-        let settings = self.settings(self.decide_depth(session, gaussians, &pictures)?);
+        let antialiased = self.lifting.antialiased.unwrap_or(opened.loaded.scene.antialiased);
+        let depth = self.decide_depth(session, (gaussians, antialiased), &pictures)?;
+        let settings = self.settings(depth, antialiased);
         let with_frames = cameras.iter().zip(&matches.frames).filter(|(_, frame)| frame.is_some());
         let with_frames: Vec<_> = with_frames.map(|(camera, _)| camera).collect();
-        let weights = self.weigh(session, gaussians, &pictures, &with_frames)?;
+        let weights = self.weigh(session, (gaussians, antialiased), &pictures, &with_frames)?;
         let glass = self.decide_glass(session, &opened.loaded.scene, before)?;
         let mut lifter = self.lift(session, gaussians, &pictures, &weights, &settings, &glass)?;
         self.note_glass(session, &lifter, glass);

@@ -23,11 +23,15 @@ fn photo_of(folder: &Path, frame: &str) -> Option<PathBuf> {
 }
 
 /// The Gaussians for renderings with depth.
-fn prepare(session: &Session<'_>, gaussians: &Gaussians) -> Result<Prepared> {
+fn prepare(
+    session: &Session<'_>,
+    (gaussians, antialiased): (&Gaussians, bool),
+) -> Result<Prepared> {
     let profile = SceneProfile::scan(gaussians)?;
     let depth = DepthRequest { expected: true, ..DepthRequest::default() };
     let request = PlanRequest::new(RenderRequest { depth, ..RenderRequest::rgb() });
-    let plan = RenderPlan::auto(&profile, RasterSettings::default(), request)?;
+    let raster = RasterSettings { antialiased, ..RasterSettings::default() };
+    let plan = RenderPlan::auto(&profile, raster, request)?;
     session.receipt.plan(gaussians.means.len(), render_section(&plan));
     Ok(plan.prepare(gaussians.clone())?)
 }
@@ -37,7 +41,7 @@ impl Args {
     pub(super) fn weigh(
         &self,
         session: &Session<'_>,
-        gaussians: &Gaussians,
+        (gaussians, antialiased): (&Gaussians, bool),
         pictures: &Pictures<'_>,
         cameras: &[&Camera],
     ) -> Result<Vec<f32>> {
@@ -48,7 +52,7 @@ impl Args {
             return Ok(weights);
         };
         let _stage = session.receipt.stage("photos");
-        let prepared = prepare(session, gaussians)?;
+        let prepared = prepare(session, (gaussians, antialiased))?;
         let mut probe = CaptureProbe::new(&prepared);
         let mut seen = Vec::new();
         for (number, camera) in cameras.iter().enumerate() {

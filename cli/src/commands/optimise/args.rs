@@ -71,7 +71,7 @@ pub struct Args {
     /// First steps with pictures of half the size.
     #[arg(long, value_name = "N")]
     pub half_steps: Option<u64>,
-    /// Whether opacities make up for the low-pass: then `render --antialiased` draws the result.
+    /// Whether opacities make up for the low-pass; the file of the result says so.
     #[arg(long, value_name = "BOOL")]
     pub antialiased: Option<bool>,
     /// Learns a gain and an offset per channel of each picture, against automatic exposure: `auto` where pictures

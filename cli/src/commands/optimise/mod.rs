@@ -71,11 +71,11 @@ pub fn run(args: &Args, line: &str) -> Result<()> {
     }
     let mut kept = args.finish(&session, &optimiser, &frames, &ran)?;
     kept.origin = frames.origin;
+    kept.antialiased = optimiser.settings().antialiased;
     session.write("scene.ply", |path| write_inria_ply(&kept, &[], path))?;
     session.receipt.add_rows_out(kept.len());
-    if optimiser.settings().antialiased {
-        let text = "the scene was made with antialiasing: draw it with render --antialiased";
-        session.progress.say(text);
+    if kept.antialiased {
+        session.progress.say("the scene was made with antialiasing, and scene.ply says so");
     }
     session.finish()
 }

@@ -57,9 +57,11 @@ pub struct Args {
     /// Whose constants to use.
     #[arg(long, value_enum, default_value_t = PresetArg::Gsplat16)]
     pub preset: PresetArg,
-    /// Makes up for the low-pass with opacity; for scenes that were trained so.
-    #[arg(long)]
-    pub antialiased: bool,
+    /// Whether opacities make up for the low-pass, as for scenes that were trained so; as the scene's
+    /// file says if not given.
+    #[arg(long, value_name = "BOOL", num_args = 0..=1, default_missing_value = "true",
+          require_equals = true)]
+    pub antialiased: Option<bool>,
     /// Color behind the scene, 0 to 1; black by default.
     #[arg(long, value_name = "R,G,B", value_parser = parse_color)]
     pub background: Option<[f32; 3]>,

@@ -113,6 +113,7 @@ fn prepare(
     needs_depth: bool,
 ) -> Result<Prepared> {
     let _stage = session.receipt.stage("plan");
+    let antialiased = args.antialiased.unwrap_or(scene.antialiased);
     let mut gaussians = Gaussians::from_scene(&scene)?;
     drop(scene);
     if let Some(ceiling) = shots.ceiling {
@@ -124,7 +125,7 @@ fn prepare(
     }
     let preset = args.preset.settings();
     let settings = RasterSettings {
-        antialiased: args.antialiased,
+        antialiased,
         background: args.background,
         near: near(args, shots),
         ..preset

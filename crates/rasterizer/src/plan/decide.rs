@@ -233,8 +233,8 @@ fn background(settings: &RasterSettings, request: &PlanRequest) -> (Option<[f32;
 
 fn antialiasing(settings: &RasterSettings) -> Decision {
     let (verdict, evidence) = match settings.antialiased {
-        true => ("on", "asked for: the scene was trained with it"),
-        false => ("off", "not asked for: a scene looks as it was trained"),
+        true => ("on", "as the scene was trained, by its file or the request"),
+        false => ("off", "neither the scene's file nor the request says that it was trained so"),
     };
     Decision::exact("antialiasing", verdict, evidence)
 }

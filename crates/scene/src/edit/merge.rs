@@ -1,6 +1,7 @@
 //! Joining several scenes into one.
 
 use super::EditError;
+use crate::extra_columns::{ExtraColumn, join_columns};
 use crate::language_code::LanguageCode;
 use crate::place::{NO_ORIGIN, origin_of, origin_text, sample_step};
 use crate::{GaussianScene, LabelledPoints, LanguageFeatures};
@@ -24,6 +25,8 @@ pub struct MergeReport {
 /// - Language codes are kept if all scenes that have any share one codebook, else dropped. Features
 ///   are kept if all that have any are as wide. Rows without get zeros: no feature.
 /// - Normals are kept only if all scenes have them.
+/// - Columns of unknown meaning are kept; where a scene has none of that name, its rows get 0.
+/// - The result is marked as antialiased only if all scenes are.
 /// - Scenes with different origins are brought to one, that of the first if it is near all of their
 ///   positions; to none where these are not far from 0 together. Scenes without origins stay as they
 ///   are.
@@ -56,6 +59,8 @@ pub fn merge(scenes: Vec<GaussianScene>) -> Result<(GaussianScene, MergeReport),
     out.lang_feat = features(&scenes, &mut report);
     out.valid_feat_mask = masks(&scenes, out.lang_feat.is_some());
     out.normal = normals(&scenes, &mut report);
+    out.extra = extra(&scenes, &mut report);
+    out.antialiased = antialiased(&scenes, &mut report);
     out.labelled_points = labelled_points(&scenes, starts.as_deref());
     let lower = numbers(&scenes, |s| s.sh_degree < degree);
     if !lower.is_empty() {
@@ -247,6 +252,24 @@ fn normals(scenes: &[GaussianScene], report: &mut MergeReport) -> Option<Vec<[f3
         return None;
     }
     Some(scenes.iter().flat_map(|s| s.normal.iter().flatten().copied()).collect())
+}
+
+fn extra(scenes: &[GaussianScene], report: &mut MergeReport) -> Vec<ExtraColumn> {
+    let parts: Vec<_> = scenes.iter().map(|s| (s.extra.as_slice(), s.len())).collect();
+    let (columns, notes) = join_columns(&parts);
+    let notes = notes.into_iter().map(|(text, of)| format!("{text} ({})", scenes_text(&of)));
+    report.notes.extend(notes);
+    columns
+}
+
+/// One picture is drawn one way.
+fn antialiased(scenes: &[GaussianScene], report: &mut MergeReport) -> bool {
+    let marked = numbers(scenes, |s| s.antialiased);
+    if !marked.is_empty() && marked.len() < scenes.len() {
+        let text = "trained for antialiased rendering, unlike the others: the mark was dropped";
+        report.notes.push(format!("{text} ({})", scenes_text(&marked)));
+    }
+    marked.len() == scenes.len()
 }
 
 /// Points of all scenes; as for Gaussians, those without a label have −1.

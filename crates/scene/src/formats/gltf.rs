@@ -39,13 +39,14 @@ use super::{LoadedScene, ReadOptions, SceneFormat, semantics};
 use crate::gaussian_scene::sh_rest_len;
 use crate::place::{NO_ORIGIN, origin_of, sample_step};
 use crate::value_policy::Rule;
-use crate::{GaussianScene, RepairReport, SceneError};
+use crate::{GaussianScene, RepairReport, SceneError, UnreadColumn};
 use attributes::{Attributes, used_attributes};
 use buffers::Buffers;
 use document::Document;
 use primitives::{Job, check_required, gaussian_primitives};
 use rayon::prelude::*;
 use spz_parts::SpzParts;
+use std::collections::BTreeSet;
 use std::path::Path;
 
 /// How much larger than its buffers a scene may be in memory.
@@ -152,12 +153,14 @@ pub fn read_gltf(
     let rows: usize = parts.iter().map(Part::rows).sum();
     let origin = subtract_origin(&parts, &mut jobs, &mut spz, &mut report)?;
     let mut scene = GaussianScene { sh_degree: degree, ..GaussianScene::default() };
+    let mut antialiased = true;
     for (part, job) in parts.into_iter().zip(&jobs) {
         let first = scene.len();
         let mut read = match part {
             Part::Attributes(part) => part.read(log_scale, first, &mut report),
             Part::Spz(view, _) => spz.read(view, &mut report)?,
         };
+        antialiased &= read.antialiased;
         widen(&mut read, degree, path)?;
         if job.place.turns() {
             give_lengths(&mut read.quat, first, &mut report);
@@ -165,9 +168,25 @@ pub fn read_gltf(
         job.place.apply(&mut read);
         append(&mut scene, read, rows, path)?;
     }
-    scene.origin = origin;
+    (scene.origin, scene.antialiased) = (origin, antialiased && rows > 0);
     semantics::read_sidecar(path, bytes, rows, options.policy, &mut scene, &mut report)?;
-    LoadedScene::finish(scene, report, options.policy, path, SceneFormat::Gltf)
+    let loaded = LoadedScene::finish(scene, report, options.policy, path, SceneFormat::Gltf)?;
+    Ok(LoadedScene { unread: unread_attributes(&jobs, path)?, ..loaded })
+}
+
+/// Attributes of the primitives that nothing here reads, by name.
+fn unread_attributes(jobs: &[Job<'_>], path: &Path) -> Result<Vec<UnreadColumn>, SceneError> {
+    let mut names = BTreeSet::new();
+    for job in jobs.iter().filter(|job| job.spz.is_none()) {
+        let (_, used) = used_attributes(job.primitive, true, path)?;
+        let unused = job.primitive.attributes.iter();
+        let unused = unused.filter(|(_, index)| used.iter().all(|(_, of)| of != *index));
+        names.extend(unused.map(|(name, _)| name.clone()));
+    }
+    Ok(names
+        .iter()
+        .map(|name| UnreadColumn::other(name, "an attribute of the glTF file"))
+        .collect())
 }
 
 /// Which buffers hold anything of the Gaussians.

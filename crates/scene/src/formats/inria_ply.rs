@@ -1,16 +1,20 @@
 //! PLY files with one float per property, as 3D Gaussian splatting trainers write them.
 
-use super::label_column::{has_labels, read_instance, read_segment};
-use super::language_columns::{CODE_COLUMN, codebook_element, read_language_code};
+use super::color_columns::{color_names, read_colors};
+use super::label_column::{read_instance, read_segment, segment_name};
+use super::language_columns::{CODE_COLUMN, CODEBOOK, codebook_element, read_language_code};
+use super::limit_tally::LimitTally;
 use super::memory::zeroed;
+use super::mip_filter::{FILTER, fuse};
+use super::output_names::output_names;
 use super::ply::{
-    ColumnSource, ColumnValues, Gather, PlyColumn, PlyElement, PlyFile, PlyPropertyKind, PlyType,
-    write_new_ply,
+    ANTIALIASED, ColumnSource, ColumnValues, Gather, PlyColumn, PlyElement, PlyFile, PlyNumbers,
+    Remarks, write_new_ply,
 };
 use super::{LoadedScene, ReadOptions, SceneFormat, WriteOptions, WriteProgress, WriteReport};
-use crate::gaussian_scene::{SH_C0, u8_to_dc};
+use crate::gaussian_scene::u8_to_dc;
 use crate::value_policy::{DEFAULT_GREY, DEFAULT_SCALE, FLAT_SCALE, Rule};
-use crate::{AtomicFile, GaussianScene, RepairReport, SceneError, StatedUp, Up};
+use crate::{AtomicFile, ExtraColumn, GaussianScene, RepairReport, SceneError};
 use std::path::Path;
 
 const VERTEX: &str = "vertex";
@@ -19,15 +23,19 @@ const ROT: [&str; 4] = ["rot_0", "rot_1", "rot_2", "rot_3"];
 const DC: [&str; 3] = ["f_dc_0", "f_dc_1", "f_dc_2"];
 /// How sure the label is.
 const SCORE: &str = "score";
+/// Most columns that are written; no more are read.
+const MAX_COLUMNS: usize = 1 << 14;
 
 /// Reads a scene from an open PLY file.
 ///
 /// Required are `x y z`; doubles far from 0 are kept relative to an origin. The others have defaults, each reported: `scale_0..2` (0.01 m; one scale
 /// counts for all axes; without `scale_2` the third axis is 1e-7 m), `rot_0..3` (`w x y z`; no
-/// rotation), `opacity` (alpha 1), `f_dc_0..2` (from `red green blue`, else gray). Read if there:
+/// rotation), `opacity` (alpha 1), `f_dc_0..2` (from `red green blue`, `r g b` or
+/// `diffuse_red diffuse_green diffuse_blue`, in bytes, 16 bits or fractions, else gray). Read if there:
 /// `f_rest_*` (all of one degree), `nx ny nz` (unless all are 0), `segment` or `label` with their
 /// `score`, `instance`, and `lang_code_*` with the element `lang_codebook`. Other properties are
-/// skipped.
+/// kept in `extra` if `options.extra` asks for them, else named. A `filter_3D` of Mip-Splatting becomes
+/// part of sizes and opacities.
 ///
 /// # Errors
 /// As [`super::open_scene`]; a group of properties that is there in part is malformed.
@@ -83,28 +91,21 @@ pub fn read_inria_ply(file: &PlyFile, options: &ReadOptions) -> Result<LoadedSce
         reader.fill(&mut pass, &["nx", "ny", "nz"], scene.normal.insert(Vec::new()))?;
     }
     // A score by itself may be that of a query, or anything.
-    if vertex.has(SCORE) && has_labels(vertex, options.segment.as_deref()) {
+    if vertex.has(SCORE) && segment_name(vertex, options.segment.as_deref()).is_some() {
         let score = scene.segment_score.insert(zeroed(rows, path)?);
         pass.add(&[SCORE], score)?;
     }
     pass.run()?;
+    let remarks = reader.train_marks(&mut scene)?;
+    let is_read = |name: &str| reader.is_read(name, options.segment.as_deref());
+    let (extra, unread) = file.unknown(vertex, is_read, &[CODEBOOK], options.extra)?;
+    scene.extra = extra;
     scene.segment = read_segment(file, vertex, options.segment.as_deref(), &mut reader.report)?;
     scene.instance = read_instance(file, vertex, &mut reader.report)?;
     scene.lang_code = read_language_code(file, vertex, &mut reader.report)?;
     let loaded =
         LoadedScene::finish(scene, reader.report, options.policy, file.path(), SceneFormat::Ply)?;
-    let stated_up = stated_up(file.comments()).unwrap_or(loaded.stated_up);
-    Ok(LoadedScene { stated_up, ..loaded })
-}
-
-/// The vertical axis that Nerfstudio's exporter writes as a comment.
-fn stated_up(mut comments: impl Iterator<Item = String>) -> Option<StatedUp> {
-    let axis = comments.find_map(|text| {
-        let (name, axis) = text.split_once(':')?;
-        let is_axis = name.trim().eq_ignore_ascii_case("vertical axis");
-        is_axis.then(|| axis.trim().to_ascii_lowercase().parse::<Up>().ok())?
-    });
-    axis.map(|direction| StatedUp { direction, source: "the file's comment" })
+    Ok(LoadedScene { unread, ..loaded.with_remarks(&remarks) })
 }
 
 struct Reader<'a> {
@@ -141,6 +142,30 @@ impl Reader<'_> {
         *into = zeroed(self.vertex.count * names.len(), self.file.path())?;
         pass.add(&names, into)?;
         Ok(sh_degree(names.len()).unwrap_or(0))
+    }
+
+    /// What the file says of how it was trained, and fuses the filter that goes with that.
+    fn train_marks(&mut self, scene: &mut GaussianScene) -> Result<Remarks, SceneError> {
+        let remarks = self.file.remarks(&mut self.report);
+        scene.antialiased = remarks.antialiased.unwrap_or(false);
+        if self.vertex.has(FILTER) {
+            fuse(scene, &self.file.column_f32(VERTEX, FILTER)?);
+            // Mip-Splatting always has the filter of the picture as well.
+            scene.antialiased = remarks.antialiased.unwrap_or(true);
+            let note = "the smoothing filter of Mip-Splatting (filter_3D) was made part of the sizes \
+                        and opacities";
+            self.report.notes.push(note.to_owned());
+        }
+        Ok(remarks)
+    }
+
+    /// Whether a column has a meaning here.
+    fn is_read(&self, name: &str, segment: Option<&str>) -> bool {
+        let vertex = self.vertex;
+        let labels = segment_name(vertex, segment);
+        let colors = color_names(vertex).filter(|_| !self.has_all(&DC)).unwrap_or_default();
+        let of_labels = Some(name) == labels || (name == SCORE && labels.is_some());
+        has_meaning(name) || of_labels || name == "instance" || colors.contains(&name)
     }
 
     fn missing(&mut self, rule: Rule) {
@@ -184,25 +209,12 @@ impl Reader<'_> {
     }
 
     fn dc_from_colors(&mut self) -> Result<Vec<[f32; 3]>, SceneError> {
-        let rgb = ["red", "green", "blue"];
-        if !self.group(&rgb)? {
+        let Some(colors) = read_colors(self.file, self.vertex, &mut self.report)? else {
             self.missing(Rule::ColorMissing);
             return Ok(vec![[u8_to_dc(DEFAULT_GREY); 3]; self.vertex.count]);
-        }
+        };
         self.report.add(Rule::ColorFromBytes, self.vertex.count, 0, "");
-        let table: Vec<f32> = (0..=255).map(u8_to_dc).collect();
-        let types = rgb.map(|n| self.vertex.property(n).map(|p| p.kind));
-        if types == [Some(PlyPropertyKind::Scalar(PlyType::U8)); 3] {
-            let rows = self.file.rows_u8(VERTEX, rgb)?;
-            return Ok(rows.iter().map(|row| row.map(|v| table[usize::from(v)])).collect());
-        }
-        let float = |kind| matches!(kind, Some(PlyPropertyKind::Scalar(ty)) if ty.is_float());
-        if types.into_iter().all(float) {
-            let rows = self.file.rows_f32(VERTEX, rgb)?;
-            return Ok(rows.into_iter().map(|row| row.map(|v| (v - 0.5) / SH_C0)).collect());
-        }
-        let problem = "red, green and blue are neither uchar nor float";
-        Err(SceneError::format(self.file.path(), problem, "export colours as f_dc_0..2 or uchar"))
+        Ok(colors.dc())
     }
 
     /// The columns of the higher harmonics in the order of the scene; none for degree 0.
@@ -223,6 +235,14 @@ impl Reader<'_> {
     }
 }
 
+/// Whether a column is taken for a part of the Gaussians by its name alone.
+fn has_meaning(name: &str) -> bool {
+    let fixed = ["x", "y", "z", "nx", "ny", "nz", "opacity", FILTER];
+    let series = [CODE_COLUMN, "f_rest_"];
+    [&fixed[..], &SCALE, &ROT, &DC].iter().any(|names| names.contains(&name))
+        || series.iter().any(|prefix| name.starts_with(prefix))
+}
+
 /// The degree that has this many coefficients beyond DC for three channels.
 pub(super) fn sh_degree(num_rest: usize) -> Option<u8> {
     [0, 9, 24, 45, 72].iter().position(|&n| n == num_rest).map(|degree| degree as u8)
@@ -238,7 +258,7 @@ pub(super) fn rest_names(num_rest: usize) -> Vec<String> {
 /// Writes a scene as PLY in the property order of the original trainer.
 ///
 /// `x y z nx ny nz f_dc_0..2 f_rest_* opacity scale_0..2 rot_0..3`, then `segment`, `score`,
-/// `instance` and `lang_code_*` if the scene has them, then `extra`; after the vertices the element
+/// `instance` and `lang_code_*` if the scene has them, its columns of unknown meaning, then `extra`; after the vertices the element
 /// `lang_codebook` where there are codes. All floats are written as they are, so that reading gives
 /// the same scene; a scene with an origin has it added to `x y z`, which are `double` then. Normals are 0 where the scene has none. Language features and labeled points
 /// have no place in this format.
@@ -256,7 +276,9 @@ pub fn write_inria_ply(
         return Err(SceneError::format(path, "would hold no Gaussian at all", ""));
     }
     let file = AtomicFile::create(path)?;
-    write_columns(scene, extra, &file, &mut |_| true)?;
+    let options = WriteOptions::default();
+    let mut report = WriteReport::new(SceneFormat::Ply, scene.len());
+    write_columns(scene, extra, &file, &options, &mut report, &mut |_| true)?;
     Ok(file.commit()?)
 }
 
@@ -264,17 +286,67 @@ pub fn write_inria_ply(
 pub(super) fn write_ply(
     scene: &GaussianScene,
     file: &AtomicFile,
-    _options: &WriteOptions,
-    _report: &mut WriteReport,
+    options: &WriteOptions,
+    report: &mut WriteReport,
     progress: WriteProgress<'_>,
 ) -> Result<(), SceneError> {
-    write_columns(scene, &[], file, progress)
+    write_columns(scene, &[], file, options, report, progress)
+}
+
+/// The comments of a PLY file: how it was trained, and which way is up.
+pub(super) fn comments(scene: &GaussianScene, options: &WriteOptions) -> Vec<String> {
+    let mark = scene.antialiased.then(|| ANTIALIASED.to_owned());
+    let up = options.stated_up.map(|up| format!("Vertical axis: {up}"));
+    mark.into_iter().chain(up).collect()
+}
+
+/// Columns of unknown meaning as PLY has them, with their names; says what became of them.
+fn extra_numbers<'a>(
+    scene: &'a GaussianScene,
+    taken: &[(String, ColumnSource<'_>)],
+    report: &mut WriteReport,
+) -> Vec<(PlyNumbers<'a>, Vec<String>)> {
+    let columns = taken.len() + scene.extra.iter().map(ExtraColumn::width).sum::<usize>();
+    if columns > MAX_COLUMNS {
+        report.left_out("extra", &format!("{columns} columns are more than a PLY file may have"));
+        return Vec::new();
+    }
+    let labels = scene.segment.is_some();
+    let is_taken = |name: &str| {
+        has_meaning(name)
+            || name.starts_with("packed_")
+            || taken.iter().any(|(other, _)| other == name)
+            || match name {
+                "segment" | "instance" => true,
+                "label" => !labels,
+                SCORE => labels,
+                _ => false,
+            }
+    };
+    let allowed = |c: char| !c.is_whitespace() && !c.is_control();
+    let (names, renamed) = output_names(&scene.extra, true, allowed, is_taken);
+    renamed.iter().for_each(|text| report.left_out("extra", text));
+    let mut numbers = Vec::new();
+    for (column, names) in scene.extra.iter().zip(names) {
+        let of = PlyNumbers::of(column);
+        let (rows, first_row) = of.rounded;
+        let tally = LimitTally { rows, first_row, largest_change: f64::NAN };
+        report.limit(
+            "extra",
+            format!("column {}: integers above 2⁵³ are rounded", column.name),
+            tally,
+        );
+        numbers.push((of, names));
+    }
+    numbers
 }
 
 fn write_columns(
     scene: &GaussianScene,
     extra: &[PlyColumn<'_>],
     file: &AtomicFile,
+    options: &WriteOptions,
+    report: &mut WriteReport,
     progress: WriteProgress<'_>,
 ) -> Result<(), SceneError> {
     let mut columns: Vec<(String, ColumnSource<'_>)> = Vec::new();
@@ -314,7 +386,9 @@ fn write_columns(
         after.push(codebook_element(&code.codebook));
     }
     columns.extend(extra.iter().map(|c| (c.name.to_owned(), ColumnSource::Values(c.values))));
-    write_new_ply(file, scene.len(), &columns, &after, progress)
+    let unknown = extra_numbers(scene, &columns, report);
+    columns.extend(unknown.iter().flat_map(|(numbers, names)| numbers.columns(names)));
+    write_new_ply(file, &comments(scene, options), scene.len(), &columns, &after, progress)
 }
 
 /// The columns of the positions: doubles where f32 would not hold them.

@@ -1,6 +1,7 @@
 //! Turns label columns of any type into `i32` with -1 for none.
 
 use super::ply::{PlyElement, PlyFile, PlyPropertyKind, PlyType};
+use crate::extra_columns::{UnreadColumn, label_names};
 use crate::value_policy::Rule;
 use crate::{RepairReport, SceneError};
 
@@ -87,9 +88,9 @@ pub(crate) fn read_labels(
 /// Names of label columns, the first that is there counts.
 const LABELS: [&str; 2] = ["segment", "label"];
 
-/// Whether [`read_segment`] will find labels.
-pub(crate) fn has_labels(vertex: &PlyElement, wanted: Option<&str>) -> bool {
-    wanted.is_some_and(|name| vertex.has(name)) || LABELS.iter().any(|name| vertex.has(name))
+/// The property that [`read_segment`] will read, if any.
+pub(crate) fn segment_name<'a>(vertex: &PlyElement, wanted: Option<&'a str>) -> Option<&'a str> {
+    wanted.or_else(|| LABELS.into_iter().find(|name| vertex.has(name))).filter(|n| vertex.has(n))
 }
 
 /// The labels of a scene: the property asked for, else `segment` or `label` if there.
@@ -99,16 +100,22 @@ pub(crate) fn read_segment(
     wanted: Option<&str>,
     report: &mut RepairReport,
 ) -> Result<Option<Vec<i32>>, SceneError> {
-    let name = match wanted {
-        Some(name) if !vertex.has(name) => {
-            let problem = format!("its vertices have no property {name} to read labels from");
-            return Err(SceneError::format(file.path(), problem, "choose other labels"));
-        }
-        Some(name) => Some(name),
-        None => LABELS.into_iter().find(|name| vertex.has(name)),
+    let Some(name) = segment_name(vertex, wanted) else {
+        let Some(name) = wanted else { return Ok(None) };
+        let problem = format!("its vertices have no property {name} to read labels from");
+        let help = match label_names(&columns(vertex)) {
+            Some(names) => format!("those that look like labels: {names}"),
+            None => "choose other labels".to_owned(),
+        };
+        return Err(SceneError::format(file.path(), problem, help));
     };
-    let Some(name) = name else { return Ok(None) };
     read_labels(file, &vertex.name, name, SEGMENT_RULES, report).map(Some)
+}
+
+/// All columns, for messages on what could be labels.
+pub(crate) fn columns(vertex: &PlyElement) -> Vec<UnreadColumn> {
+    let scalar = vertex.properties.iter().filter(|p| !p.is_list());
+    scalar.map(|p| UnreadColumn::of_numbers(&p.name, String::new(), true)).collect()
 }
 
 /// The instances of a scene: the property `instance` if there.

@@ -1,7 +1,9 @@
 //! Labeled point clouds in PLY: what predictions are compared with.
 
-use super::label_column::{INSTANCE_RULES, SEGMENT_RULES, read_labels};
+use super::color_columns::{color_names, read_colors};
+use super::label_column::{INSTANCE_RULES, SEGMENT_RULES, columns, read_labels};
 use super::ply::PlyFile;
+use crate::extra_columns::{UnreadColumn, label_names};
 use crate::gaussian_scene::retain_flagged;
 use crate::place::{NO_ORIGIN, less, origin_note, plus};
 use crate::value_policy::Rule;
@@ -33,6 +35,8 @@ pub struct LabelledCloud {
     pub instance: Option<Vec<i32>>,
     /// Rows of the file that the points come from, ascending; `None` if all of them.
     pub kept_rows: Option<Vec<u32>>,
+    /// What the file holds besides, which was not read.
+    pub unread: Vec<UnreadColumn>,
 }
 
 impl LabelledCloud {
@@ -47,7 +51,7 @@ impl LabelledCloud {
 }
 
 /// Reads `x y z`, labels (the named column, or the first of [`LABEL_NAMES`]) and, if there, `nx ny nz`,
-/// `red green blue` as bytes, and `instance`.
+/// `red green blue` in any range, and `instance`.
 ///
 /// Positions that are doubles far from 0 are kept relative to an origin. Negative labels and 65535 in 16-bit columns become -1. A point without a finite position is
 /// left out and reported.
@@ -73,7 +77,11 @@ pub fn read_labelled_ply(
     let Some(label) = (if label.is_some() { named } else { usual() }) else {
         let names = label.map_or_else(|| LABEL_NAMES.join(", "), str::to_owned);
         let problem = format!("its vertices have no labels ({names})");
-        return Err(SceneError::format(path, problem, "name the column of class indices `label`"));
+        let help = match label_names(&columns(vertex)) {
+            Some(names) => format!("those that look like labels: {names}"),
+            None => "name the column of class indices `label`".to_owned(),
+        };
+        return Err(SceneError::format(path, problem, help));
     };
     let mut report = RepairReport { source_rows: vertex.count, ..RepairReport::default() };
     file.report_trailing(vertex.count, &mut report);
@@ -91,13 +99,20 @@ pub fn read_labelled_ply(
     if all(["nx", "ny", "nz"]) {
         cloud.normal = Some(file.rows_f32(VERTEX, ["nx", "ny", "nz"])?);
     }
-    if all(["red", "green", "blue"]) {
-        cloud.color = Some(file.rows_u8(VERTEX, ["red", "green", "blue"])?);
-    }
+    cloud.color = read_colors(&file, vertex, &mut report)?.map(|colors| colors.bytes());
     if let Some(name) = INSTANCE_NAMES.into_iter().find(|name| vertex.has(name)) {
         let ids = read_labels(&file, VERTEX, name, INSTANCE_RULES, &mut report)?;
         cloud.instance = Some(ids);
     }
+    let colors = color_names(vertex).unwrap_or_default();
+    let positions = ["x", "y", "z", "nx", "ny", "nz"];
+    let instances = INSTANCE_NAMES.into_iter().find(|name| vertex.has(name));
+    let is_read = |name: &str| {
+        positions.contains(&name)
+            || colors.contains(&name)
+            || [Some(label), instances].contains(&Some(name))
+    };
+    cloud.unread = file.unknown(vertex, is_read, &["face"], false)?.1;
     cloud.kept_rows = drop_unusable(&mut cloud, &mut report);
     report.enforce(policy, path)?;
     if cloud.coord.is_empty() {

@@ -10,7 +10,7 @@ use half::f16;
 /// Columns of the code are called this and a number.
 pub(super) const CODE_COLUMN: &str = "lang_code_";
 /// The element with one row per number of a feature: `mean`, `axis_0`, `axis_1` …
-const CODEBOOK: &str = "lang_codebook";
+pub(super) const CODEBOOK: &str = "lang_codebook";
 const MEAN: &str = "mean";
 
 /// The codebook as an element.

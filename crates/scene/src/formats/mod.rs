@@ -3,6 +3,7 @@
 //! [`open_scene`] finds out what a path holds by looking into it, never by its name.
 
 pub mod cameras;
+mod color_columns;
 pub mod compressed_ply;
 pub(crate) mod files;
 pub mod gltf;
@@ -14,10 +15,13 @@ pub mod labelled_ply;
 mod language_columns;
 mod limit_tally;
 pub(crate) mod memory;
+mod mip_filter;
+mod named;
 pub mod npy;
 pub mod npy_folder;
 pub mod npy_writer;
 mod open;
+mod output_names;
 mod packed_values;
 pub mod ply;
 mod scene_blocks;
@@ -26,15 +30,19 @@ pub mod sog;
 pub mod splat;
 pub mod spz;
 pub mod table;
+mod trained_folder;
 pub mod write;
 
 pub(crate) use packed_values::unit_f64;
+
+use ply::Remarks;
 
 pub use open::{open_scene, open_scene_bytes};
 pub(crate) use table::Writer;
 pub use table::{FORMATS, FormatRow, SceneFormat};
 pub use write::{PrecisionLimit, WriteOptions, WriteProgress, WriteReport, write_scene};
 
+use crate::extra_columns::UnreadColumn;
 use crate::place::origin_note;
 use crate::value_policy::clean_scene;
 use crate::{GaussianScene, Policy, RepairReport, SceneError, StatedUp};
@@ -56,6 +64,8 @@ pub struct ReadOptions {
     pub sh_rest: bool,
     /// The frame that SPZ files are taken to be in.
     pub spz_frame: SpzFrame,
+    /// Whether to keep columns whose meaning is not known; they are named if not.
+    pub extra: bool,
     /// Level of detail of a streamed scene, 0 = finest; formats without levels ignore it.
     pub lod: usize,
 }
@@ -79,6 +89,7 @@ impl Default for ReadOptions {
             lang_feat: true,
             sh_rest: true,
             spz_frame: SpzFrame::Rub,
+            extra: false,
             lod: 0,
         }
     }
@@ -99,6 +110,8 @@ pub struct LoadedScene {
     pub kind: SceneFormat,
     /// What the file, or the convention of its format, says about up.
     pub stated_up: StatedUp,
+    /// What the file holds besides, which was not read.
+    pub unread: Vec<UnreadColumn>,
 }
 
 impl LoadedScene {
@@ -111,9 +124,25 @@ impl LoadedScene {
         kind: SceneFormat,
     ) -> Result<Self, SceneError> {
         report.notes.extend(origin_note(scene.origin));
+        if scene.antialiased {
+            report.notes.push("trained for antialiased rendering".to_owned());
+        }
         let (scene, kept_rows) = clean_scene(scene, &mut report, policy, path)?;
         let stated_up = kind.stated_up();
-        Ok(Self { scene, report, kept_rows, path: path.to_owned(), kind, stated_up })
+        let (path, unread) = (path.to_owned(), Vec::new());
+        Ok(Self { scene, report, kept_rows, path, kind, stated_up, unread })
+    }
+
+    /// With what the comments of a PLY file say about up: the name of an axis, as Nerfstudio's exporter
+    /// writes it, or three numbers, as Brush's does.
+    pub(crate) fn with_remarks(mut self, remarks: &Remarks) -> Self {
+        let axis = remarks.vertical_axis.as_ref();
+        let up = axis
+            .and_then(|axis| axis.split_whitespace().collect::<Vec<_>>().join(",").parse().ok());
+        if let Some(direction) = up {
+            self.stated_up = StatedUp { direction, source: StatedUp::COMMENT };
+        }
+        self
     }
 
     /// Number of rows in the source, those left out included.

@@ -2,8 +2,10 @@
 //!
 //! Not for arrays of objects, strings or records. Writing is in [`super::npy_writer`].
 
+pub use crate::extra_columns::NumberType as NpyType;
+
 use crate::SceneError;
-use crate::input_file::{InputFile, filled};
+use crate::input_file::{InputFile, filled, reserve};
 use crate::place::less;
 use half::f16;
 use rayon::prelude::*;
@@ -13,52 +15,25 @@ use std::path::Path;
 const MAX_HEADER_BYTES: usize = 1 << 16;
 const VALUES_PER_TASK: usize = 1 << 15;
 
-/// The type of the values.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum NpyType {
-    /// One byte, 0 or 1.
-    Bool,
-    /// Signed integer of 1, 2, 4 or 8 bytes.
-    Int(u8),
-    /// Unsigned integer of 1, 2, 4 or 8 bytes.
-    UInt(u8),
-    /// Float of 2, 4 or 8 bytes.
-    Float(u8),
-}
-
-impl NpyType {
-    /// Bytes of one value.
-    pub fn size(self) -> usize {
-        match self {
-            Self::Bool => 1,
-            Self::Int(size) | Self::UInt(size) | Self::Float(size) => usize::from(size),
-        }
-    }
-
-    /// Whether it is a float.
-    pub fn is_float(self) -> bool {
-        matches!(self, Self::Float(_))
-    }
-
-    fn parse(descr: &str) -> Option<(Self, bool)> {
-        let (order, rest) = descr.split_at_checked(1)?;
-        let (kind, size) = rest.split_at_checked(1)?;
-        let size: u8 = size.parse().ok()?;
-        let ty = match (kind, size) {
-            ("b", 1) => Self::Bool,
-            ("i", 1 | 2 | 4 | 8) => Self::Int(size),
-            ("u", 1 | 2 | 4 | 8) => Self::UInt(size),
-            ("f", 2 | 4 | 8) => Self::Float(size),
-            _ => return None,
-        };
-        let big_endian = match order {
-            ">" => true,
-            "<" | "|" => false,
-            "=" => cfg!(target_endian = "big"),
-            _ => return None,
-        };
-        Some((ty, big_endian))
-    }
+/// The type that a header names, and whether its bytes are most significant first.
+fn parse_type(descr: &str) -> Option<(NpyType, bool)> {
+    let (order, rest) = descr.split_at_checked(1)?;
+    let (kind, size) = rest.split_at_checked(1)?;
+    let size: u8 = size.parse().ok()?;
+    let ty = match (kind, size) {
+        ("b", 1) => NpyType::Bool,
+        ("i", 1 | 2 | 4 | 8) => NpyType::Int(size),
+        ("u", 1 | 2 | 4 | 8) => NpyType::UInt(size),
+        ("f", 2 | 4 | 8) => NpyType::Float(size),
+        _ => return None,
+    };
+    let big_endian = match order {
+        ">" => true,
+        "<" | "|" => false,
+        "=" => cfg!(target_endian = "big"),
+        _ => return None,
+    };
+    Some((ty, big_endian))
 }
 
 /// An open array.
@@ -132,7 +107,7 @@ impl NpyFile {
             .map_err(|_| bad("has an .npy header that is no text".to_owned()))?;
         let header = parse_header(text)
             .ok_or_else(|| bad(format!("has an .npy header that is not understood: {text:?}")))?;
-        let (ty, big_endian) = NpyType::parse(&header.descr).ok_or_else(|| {
+        let (ty, big_endian) = parse_type(&header.descr).ok_or_else(|| {
             bad(format!("holds values of type {:?}, numbers are expected", header.descr))
         })?;
         let transposed = match (header.fortran_order, header.shape.as_slice()) {
@@ -277,6 +252,25 @@ impl NpyFile {
             });
         }
         Ok(values.into_iter().flatten().collect())
+    }
+
+    /// The bytes of all values in C order, least significant first.
+    ///
+    /// # Errors
+    /// If there is not enough memory.
+    pub(crate) fn read_bytes(&self) -> Result<Vec<u8>, SceneError> {
+        let bits = self.read(|v| match v {
+            Value::Int(v) => v as u64,
+            Value::UInt(v) => v,
+            Value::F16(v) => u64::from(v.to_bits()),
+            Value::F32(v) => u64::from(v.to_bits()),
+            Value::F64(v) => v.to_bits(),
+        })?;
+        let size = self.ty.size();
+        let mut out = Vec::new();
+        reserve(&mut out, self.count * size, self.path())?;
+        bits.iter().for_each(|bits| out.extend_from_slice(&bits.to_le_bytes()[..size]));
+        Ok(out)
     }
 
     /// All values as bytes in C order.

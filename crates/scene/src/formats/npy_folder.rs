@@ -9,6 +9,7 @@ mod writer;
 pub use writer::write_npy_folder;
 pub(super) use writer::write_npy_scene;
 
+use super::color_columns::{ColorType, FileColors};
 use super::label_column::{
     INSTANCE_RULES, LabelRules, SEGMENT_RULES, labels_from_f64, labels_from_i64,
 };
@@ -16,16 +17,37 @@ use super::labelled_ply::finite_points;
 use super::npy::{NpyFile, NpyType};
 use super::semantics::clean_code;
 use super::{LoadedScene, ReadOptions, SceneFormat};
-use crate::gaussian_scene::{SH_C0, probability_to_logit, u8_to_dc};
+use crate::gaussian_scene::{probability_to_logit, u8_to_dc};
 use crate::place::{NO_ORIGIN, origin_of, sample_rows};
 use crate::value_policy::{DEFAULT_GREY, DEFAULT_SCALE, Rule};
 use crate::{
-    GaussianScene, LabelledPoints, LanguageCode, LanguageCodebook, LanguageFeatures, RepairReport,
-    SceneError,
+    ExtraColumn, GaussianScene, LabelledPoints, LanguageCode, LanguageCodebook, LanguageFeatures,
+    RepairReport, SceneError, UnreadColumn,
 };
 use half::f16;
 use rayon::prelude::*;
 use std::path::Path;
+
+/// Stems of the files with a meaning here.
+const STEMS: [&str; 17] = [
+    "coord",
+    "color",
+    "opacity",
+    "scale",
+    "quat",
+    "normal",
+    "lang_feat",
+    "valid_feat_mask",
+    "segment",
+    "instance",
+    "score",
+    "lang_code",
+    "lang_codebook_mean",
+    "lang_codebook_axes",
+    "pc_coord",
+    "pc_segment",
+    "pc_instance",
+];
 
 /// Reads a scene from a folder of `.npy` files.
 ///
@@ -34,7 +56,8 @@ use std::path::Path;
 /// (1), `color` (gray). Read if there: `normal`, `lang_feat`, `valid_feat_mask` (else: where any
 /// feature is not 0), labels, `instance`, and the labeled points `pc_coord`, `pc_instance` and
 /// `pc_` + the file of labels. Labels of several columns count by their first. Logits and
-/// logarithms are taken in f64.
+/// logarithms are taken in f64. Other arrays of a row for each Gaussian are kept in `extra` if
+/// `options.extra` asks for them, else named.
 ///
 /// # Errors
 /// As [`super::open_scene`]; also if a file has another number of rows than `coord`, or if the
@@ -73,6 +96,7 @@ pub fn read_npy_folder(folder: &Path, options: &ReadOptions) -> Result<LoadedSce
     let lang_code = reader.language_code()?;
     let labelled_points =
         reader.labelled_points(options.segment.as_deref(), label_stem.as_deref())?;
+    let (extra, unread) = reader.unknown(options, segment.is_some(), label_stem.as_deref())?;
     let scene = GaussianScene {
         origin,
         coord,
@@ -88,9 +112,12 @@ pub fn read_npy_folder(folder: &Path, options: &ReadOptions) -> Result<LoadedSce
         lang_feat,
         valid_feat_mask,
         labelled_points,
+        extra,
         ..GaussianScene::default()
     };
-    LoadedScene::finish(scene, reader.report, options.policy, folder, SceneFormat::NpyFolder)
+    let (policy, kind) = (options.policy, SceneFormat::NpyFolder);
+    let loaded = LoadedScene::finish(scene, reader.report, policy, folder, kind)?;
+    Ok(LoadedScene { unread, ..loaded })
 }
 
 /// Opens the file of that stem if it exists.
@@ -203,17 +230,14 @@ impl Reader<'_> {
         if file.shape() != [self.rows, 3] {
             return Err(wrong_shape(&file, Some(self.rows), "3"));
         }
-        if !file.ty().is_float() {
-            let table: Vec<f32> = (0..=255).map(u8_to_dc).collect();
-            let dc: Vec<f32> = file.read_u8()?.iter().map(|&v| table[usize::from(v)]).collect();
-            return Ok(dc.as_chunks::<3>().0.to_vec());
-        }
+        let ty = match file.ty() {
+            NpyType::UInt(1) => ColorType::Byte,
+            NpyType::UInt(2) => ColorType::Short,
+            NpyType::Float(_) => ColorType::Float,
+            _ => ColorType::Whole,
+        };
         let values = file.read_f32()?;
-        let largest = values.iter().copied().filter(|v| v.is_finite()).fold(0.0f32, f32::max);
-        let scale = if largest > 1.0 { 255.0 } else { 1.0 };
-        self.report.notes.push(format!("color.npy holds floats, read as 0 to {scale}"));
-        let dc: Vec<f32> = values.into_par_iter().map(|v| (v / scale - 0.5) / SH_C0).collect();
-        Ok(dc.as_chunks::<3>().0.to_vec())
+        Ok(FileColors::decide(values, ty, "color.npy", &mut self.report).dc())
     }
 
     /// Language features and which rows have one.
@@ -283,6 +307,10 @@ impl Reader<'_> {
             [n, width] if n == rows && width > 0 => width,
             _ => return Err(wrong_shape(&file, Some(rows), "")),
         };
+        if width > 1 {
+            let note = format!("of the {width} columns of {stem}.npy only the first is read");
+            self.report.notes.push(note);
+        }
         if file.ty().is_float() {
             let values = file.read_f64()?;
             let first = values.into_iter().step_by(width);
@@ -294,8 +322,58 @@ impl Reader<'_> {
         Ok(Some(labels_from_i64(first, none, rules, &mut self.report)))
     }
 
-    /// Stems of label files that begin with `prefix`, sorted.
-    fn label_files(&self, prefix: &str) -> Result<Vec<String>, SceneError> {
+    /// The arrays that nothing above reads: kept, if they are wanted and have a row for each Gaussian,
+    /// else named.
+    fn unknown(
+        &self,
+        options: &ReadOptions,
+        has_labels: bool,
+        label_stem: Option<&str>,
+    ) -> Result<(Vec<ExtraColumn>, Vec<UnreadColumn>), SceneError> {
+        let (mut kept, mut unread) = (Vec::new(), Vec::new());
+        let points = options.segment.as_deref().or(label_stem).map(|stem| format!("pc_{stem}"));
+        for stem in self.array_files("")? {
+            let is_known = STEMS.contains(&stem.as_str()) && (stem != "score" || has_labels);
+            if is_known || Some(stem.as_str()) == label_stem || Some(&stem) == points.as_ref() {
+                continue;
+            }
+            if stem.starts_with("pc_") {
+                unread.push(UnreadColumn::other(&stem, "an array of the labeled points"));
+                continue;
+            }
+            if !options.extra {
+                unread.push(UnreadColumn::of_numbers(&stem, "array".to_owned(), true));
+                continue;
+            }
+            match self.extra_column(&stem) {
+                Ok(column) => kept.push(column),
+                Err(problem) => unread.push(UnreadColumn::other(&stem, problem)),
+            }
+        }
+        Ok((kept, unread))
+    }
+
+    /// An array with a row for each Gaussian, or why it is none.
+    fn extra_column(&self, stem: &str) -> Result<ExtraColumn, String> {
+        let not_numbers = |error: SceneError| match error {
+            SceneError::Format { problem, .. } => format!("an array that {problem}"),
+            error => error.to_string(),
+        };
+        let path = self.folder.join(format!("{stem}.npy"));
+        let file = NpyFile::open(&path).map_err(not_numbers)?;
+        let Some((&rows, row_shape)) = file.shape().split_first() else {
+            return Err("a single number".to_owned());
+        };
+        if rows != self.rows || row_shape.contains(&0) {
+            return Err(format!("an array of shape {:?}, not of {} rows", file.shape(), self.rows));
+        }
+        let bytes = file.read_bytes().map_err(not_numbers)?;
+        let (name, row_shape) = (stem.to_owned(), row_shape.to_vec());
+        Ok(ExtraColumn { name, ty: file.ty(), row_shape, bytes })
+    }
+
+    /// Stems of files that begin with `prefix`, sorted.
+    fn array_files(&self, prefix: &str) -> Result<Vec<String>, SceneError> {
         let failed = || SceneError::io(self.folder, "cannot list the folder");
         let mut stems = Vec::new();
         for entry in std::fs::read_dir(self.folder).map_err(failed())? {
@@ -311,7 +389,7 @@ impl Reader<'_> {
 
     /// Which file the labels come from.
     fn label_stem(&mut self, wanted: Option<&str>) -> Result<Option<String>, SceneError> {
-        let found = self.label_files("segment")?;
+        let found = self.array_files("segment")?;
         if let Some(stem) = wanted {
             // Any name will do, also one that is not found by itself.
             if self.folder.join(format!("{stem}.npy")).is_file() {
@@ -351,7 +429,7 @@ impl Reader<'_> {
         let instance = self.labels("pc_instance", coord.len(), INSTANCE_RULES)?;
         let stems = match wanted.or(label_stem) {
             Some(stem) => vec![format!("pc_{stem}")],
-            None => self.label_files("pc_segment")?,
+            None => self.array_files("pc_segment")?,
         };
         let segment = match self.usual(stems, "pc_segment") {
             Some(stem) => self.labels(&stem, coord.len(), SEGMENT_RULES)?,

@@ -1,8 +1,8 @@
 //! Writing `.npy` arrays, at once or row by row.
 
 use super::files::write_all_at;
-use crate::AtomicFile;
-use crate::SceneError;
+use crate::extra_columns::NumberType;
+use crate::{AtomicFile, SceneError};
 use half::f16;
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -47,6 +47,28 @@ pub fn write_npy<T: NpyElement>(
     let mut writer = NpyRowWriter::<T>::with_header(path, shape, rows, row_shape)?;
     writer.write_rows(values)?;
     writer.finish()
+}
+
+/// Writes an array of any type from its bytes, least significant first and in C order; the file appears
+/// when it is complete.
+pub(super) fn write_npy_bytes(
+    path: &Path,
+    ty: NumberType,
+    shape: &[usize],
+    bytes: &[u8],
+) -> Result<(), SceneError> {
+    let (order, kind) = match ty {
+        NumberType::Bool => ('|', 'b'),
+        NumberType::Int(size) => (if size == 1 { '|' } else { '<' }, 'i'),
+        NumberType::UInt(size) => (if size == 1 { '|' } else { '<' }, 'u'),
+        NumberType::Float(_) => ('<', 'f'),
+    };
+    let header = header(&format!("{order}{kind}{}", ty.size()), shape);
+    let file = AtomicFile::create(path)?;
+    let failed = || SceneError::io(path, "cannot write the array");
+    write_all_at(file.file(), &header, 0).map_err(failed())?;
+    write_all_at(file.file(), bytes, header.len() as u64).map_err(failed())?;
+    Ok(file.commit()?)
 }
 
 /// Writes an array of known shape row by row, in order or at given rows, from one thread or many.

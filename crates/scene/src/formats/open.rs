@@ -1,11 +1,11 @@
 //! Finding out what a path holds, and reading it.
 
 use super::json_text::is_json;
+use super::named::{self, Named};
 use super::ply::PlyFile;
-use super::table::{FORMATS, supported};
-use super::{
-    LoadedScene, ReadOptions, cameras, compressed_ply, inria_ply, npy_folder, ply, sog, splat,
-};
+use super::table::FORMATS;
+use super::trained_folder::newest_scene;
+use super::{LoadedScene, ReadOptions, compressed_ply, inria_ply, npy_folder, ply, sog};
 use crate::SceneError;
 #[cfg(doc)]
 use crate::input_file::COPIED_BELOW;
@@ -14,7 +14,8 @@ use std::path::Path;
 
 /// Reads a scene from a file or folder in any format.
 ///
-/// What it is is found out by looking into it, whatever it is called. Small files are
+/// What it is is found out by looking into it, whatever it is called. Of a trainer's folder of
+/// results the newest iteration is read, and a note says which. Small files are
 /// copied into memory, large ones mapped ([`COPIED_BELOW`]); a file that changes its length meanwhile is
 /// an error.
 ///
@@ -36,12 +37,13 @@ pub fn open_scene(path: &Path, options: &ReadOptions) -> Result<LoadedScene, Sce
         if sog::is_sog_folder(path) {
             return sog::read_sog(path, options);
         }
-        let problem = if cameras::is_colmap_folder(path) {
-            "is a folder of COLMAP cameras, not of a scene"
-        } else {
-            "is a folder without coord.npy or meta.json"
+        let Some((newest, note)) = newest_scene(path)? else {
+            let Named { problem, help } = named::folder(path);
+            return Err(SceneError::format(path, problem, help));
         };
-        return Err(SceneError::format(path, problem, supported()));
+        let mut loaded = open_scene(&newest, options)?;
+        loaded.report.notes.insert(0, note);
+        return Ok(loaded);
     }
     let file = InputFile::open(path)?;
     let bytes = file.bytes();
@@ -81,7 +83,8 @@ pub fn open_scene_bytes(
             return read(bytes, path, options);
         }
     }
-    Err(SceneError::format(path, describe(path, bytes), supported()))
+    let Named { problem, help } = named::file(path, bytes);
+    Err(SceneError::format(path, problem, help))
 }
 
 fn read_ply(file: &PlyFile, options: &ReadOptions) -> Result<LoadedScene, SceneError> {
@@ -89,39 +92,4 @@ fn read_ply(file: &PlyFile, options: &ReadOptions) -> Result<LoadedScene, SceneE
         return compressed_ply::read_compressed_ply(file, options);
     }
     inria_ply::read_inria_ply(file, options)
-}
-
-/// What an unsupported file seems to be.
-fn describe(path: &Path, bytes: &[u8]) -> String {
-    let by_content = match bytes {
-        [] => Some("is empty"),
-        [b'p', b'l', b'y', ..] => Some("begins like a PLY file, but its first line is not `ply`"),
-        [0x1f, 0x8b, ..] => Some("is gzip-compressed, but no .spz file"),
-        [0x28, 0xb5, 0x2f, 0xfd, ..] => Some("is zstd-compressed, but no .spz file"),
-        [b'P', b'K', 3 | 5, ..] => {
-            Some("is a zip archive that is cut short, or without a meta.json of SOG")
-        }
-        [0x93, b'N', b'U', b'M', b'P', b'Y', ..] => {
-            Some("is a single .npy array; give the folder that holds coord.npy")
-        }
-        _ if is_json(bytes) && cameras::is_cameras_json(bytes) => {
-            Some("holds the cameras of a scene, not the scene")
-        }
-        _ if is_json(bytes) && cameras::is_transforms_json(bytes) => {
-            Some("holds the cameras of a scene (transforms.json), not the scene")
-        }
-        _ if is_json(bytes) => Some("is JSON, but neither glTF nor SOG"),
-        _ => None,
-    };
-    if let Some(text) = by_content {
-        return text.to_owned();
-    }
-    let extension = path.extension().and_then(|e| e.to_str()).unwrap_or_default();
-    match extension.to_ascii_lowercase().as_str() {
-        "splat" => splat::splat_problem(bytes)
-            .unwrap_or_else(|| "is a .splat file by its name only".to_owned()),
-        "ksplat" => "is a .ksplat file by its name, but its header is not".to_owned(),
-        "spz" => "is an .spz file by its name, but does not begin like one".to_owned(),
-        _ => "is no scene that can be recognized".to_owned(),
-    }
 }

@@ -6,6 +6,7 @@
 //! faces of meshes, are read by [`PlyFile::lists`]; columns come from elements without them.
 
 mod ascii;
+mod extra;
 mod gather;
 mod header;
 mod layout;
@@ -14,6 +15,7 @@ mod positions;
 mod raw_rows;
 mod writer;
 
+pub(crate) use extra::{ANTIALIASED, PlyNumbers, Remarks};
 pub(crate) use gather::Gather;
 pub use header::{PlyElement, PlyEncoding, PlyProperty, PlyPropertyKind, PlyType};
 pub use lists::PlyLists;
@@ -235,18 +237,6 @@ impl PlyFile {
             ));
         }
         self.read_column(&rows, cells[0], |cell, row, _| row[cell.offset])
-    }
-
-    /// Several columns of bytes, row by row. `[N, W]`
-    pub(crate) fn rows_u8<const W: usize>(
-        &self,
-        element: &str,
-        properties: [&str; W],
-    ) -> Result<Vec<[u8; W]>, SceneError> {
-        let columns = properties.iter().map(|name| self.column_u8(element, name));
-        let columns: Vec<Vec<u8>> = columns.collect::<Result<_, _>>()?;
-        let rows = columns.first().map_or(0, Vec::len);
-        Ok((0..rows).map(|row| std::array::from_fn(|i| columns[i][row])).collect())
     }
 
     /// Several columns as f32, row by row in one pass over the data. `[N, W]`

@@ -100,7 +100,7 @@ pub struct FormatRow {
     /// nothing, and the numbers of the file are those in memory.
     pub frame: Option<Frame>,
     /// Arrays that it keeps, of those that most do not: language features and labeled points,
-    /// normals, harmonics, the place of scenes far from 0.
+    /// normals, harmonics, the place of scenes far from 0, and what else a file may say.
     pub(super) keeps: Keeps,
 }
 
@@ -112,9 +112,23 @@ pub(super) struct Keeps {
     pub(super) harmonics: bool,
     /// Positions far from 0: doubles, or an offset.
     pub(super) origin: bool,
+    /// Columns of unknown meaning.
+    pub(super) extra: bool,
+    /// Whether it was trained for antialiased rendering.
+    pub(super) antialiased: bool,
+    /// Which way the file says is up.
+    pub(super) up: bool,
 }
 
-const PLAIN: Keeps = Keeps { features: false, normals: false, harmonics: true, origin: false };
+const PLAIN: Keeps = Keeps {
+    features: false,
+    normals: false,
+    harmonics: true,
+    origin: false,
+    extra: false,
+    antialiased: false,
+    up: false,
+};
 
 /// All formats, in the order in which files are tried: those without a mark of their own last.
 pub static FORMATS: [FormatRow; 11] = [
@@ -126,7 +140,7 @@ pub static FORMATS: [FormatRow; 11] = [
         reader: None,
         writer: Some(Beside(compressed_ply::write_compressed_ply)),
         frame: None,
-        keeps: PLAIN,
+        keeps: Keeps { antialiased: true, up: true, ..PLAIN },
     },
     FormatRow {
         format: SceneFormat::Ply,
@@ -136,7 +150,14 @@ pub static FORMATS: [FormatRow; 11] = [
         reader: None,
         writer: Some(File(inria_ply::write_ply)),
         frame: None,
-        keeps: Keeps { normals: true, origin: true, ..PLAIN },
+        keeps: Keeps {
+            normals: true,
+            origin: true,
+            extra: true,
+            antialiased: true,
+            up: true,
+            ..PLAIN
+        },
     },
     FormatRow {
         format: SceneFormat::Spz,
@@ -146,7 +167,7 @@ pub static FORMATS: [FormatRow; 11] = [
         reader: Some((spz::is_spz, spz::read_spz)),
         writer: Some(File(spz::write_spz)),
         frame: Some(Frame::RUB),
-        keeps: PLAIN,
+        keeps: Keeps { antialiased: true, ..PLAIN },
     },
     FormatRow {
         format: SceneFormat::Gltf,
@@ -177,7 +198,7 @@ pub static FORMATS: [FormatRow; 11] = [
         reader: Some((sog::is_sog_archive, sog::read_sog_archive)),
         writer: Some(File(sog::write_sog)),
         frame: None,
-        keeps: PLAIN,
+        keeps: Keeps { antialiased: true, ..PLAIN },
     },
     FormatRow {
         format: SceneFormat::SogFolder,
@@ -187,7 +208,7 @@ pub static FORMATS: [FormatRow; 11] = [
         reader: None,
         writer: Some(Files(sog::write_sog_folder)),
         frame: None,
-        keeps: PLAIN,
+        keeps: Keeps { antialiased: true, ..PLAIN },
     },
     FormatRow {
         format: SceneFormat::SogStreamed,
@@ -197,7 +218,7 @@ pub static FORMATS: [FormatRow; 11] = [
         reader: None,
         writer: Some(Files(sog::write_sog_streamed)),
         frame: None,
-        keeps: PLAIN,
+        keeps: Keeps { antialiased: true, ..PLAIN },
     },
     FormatRow {
         format: SceneFormat::Ksplat,
@@ -227,7 +248,14 @@ pub static FORMATS: [FormatRow; 11] = [
         reader: None,
         writer: Some(Files(npy_folder::write_npy_scene)),
         frame: None,
-        keeps: Keeps { features: true, normals: true, harmonics: false, origin: true },
+        keeps: Keeps {
+            features: true,
+            normals: true,
+            harmonics: false,
+            origin: true,
+            extra: true,
+            ..PLAIN
+        },
     },
 ];
 

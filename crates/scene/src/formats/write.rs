@@ -5,13 +5,13 @@ use super::packed_values::check_storable;
 use super::semantics::Sidecar;
 use super::{SceneFormat, SpzFrame, Writer};
 use crate::place::origin_text;
-use crate::{AtomicFile, GaussianScene, SceneError};
+use crate::{AtomicFile, GaussianScene, SceneError, Up};
 use serde::Serialize;
 use std::fmt;
 use std::path::{Path, PathBuf};
 
 /// How to write.
-#[derive(Debug, Clone, PartialEq, Eq)]
+#[derive(Debug, Clone, PartialEq)]
 pub struct WriteOptions {
     /// Version of SPZ files: 2, 3 or 4.
     pub spz_version: u8,
@@ -22,11 +22,20 @@ pub struct WriteOptions {
     pub lod_levels: u8,
     /// Whether an existing scene may be replaced.
     pub overwrite: bool,
+    /// The way up in the scene, where the file it came from says so itself; formats with comments say it
+    /// again.
+    pub stated_up: Option<Up>,
 }
 
 impl Default for WriteOptions {
     fn default() -> Self {
-        Self { spz_version: 4, spz_frame: SpzFrame::Rub, lod_levels: 4, overwrite: false }
+        Self {
+            spz_version: 4,
+            spz_frame: SpzFrame::Rub,
+            lod_levels: 4,
+            overwrite: false,
+            stated_up: None,
+        }
     }
 }
 
@@ -223,6 +232,7 @@ pub fn write_scene(
     }
     note_origin(scene, &mut report);
     note_left_out(scene, &mut report);
+    note_unsaid(scene, options, &mut report);
     progress(1.0);
     Ok(report)
 }
@@ -240,6 +250,25 @@ fn note_origin(scene: &GaussianScene, report: &mut WriteReport) {
     let far = scene.origin.iter().map(|v| v * v).sum::<f64>().sqrt();
     let all = LimitTally { rows: scene.len(), first_row: 0, largest_change: far };
     report.limit("coord", limit, all);
+}
+
+/// Notes columns of unknown meaning and marks that the format has no place for.
+fn note_unsaid(scene: &GaussianScene, options: &WriteOptions, report: &mut WriteReport) {
+    let row = report.format.row();
+    if !scene.extra.is_empty() && !row.keeps.extra {
+        let names: Vec<&str> = scene.extra.iter().map(|column| column.name.as_str()).collect();
+        report.left_out("extra", &format!("no place in this format for {}", names.join(", ")));
+    }
+    if scene.antialiased && !row.keeps.antialiased {
+        let why = "this format cannot say that the scene was trained for antialiased rendering";
+        report.left_out("antialiased", why);
+    }
+    // What the format says of all its files need not be said again.
+    let stated = options.stated_up.filter(|up| *up != report.format.stated_up().direction);
+    if let Some(up) = stated.filter(|_| !row.keeps.up) {
+        report
+            .left_out("up", &format!("this format cannot say that {up} is up, as the source does"));
+    }
 }
 
 /// Notes the arrays that no writer of the format takes.

@@ -114,6 +114,9 @@ pub fn guess_up(scene: &GaussianScene, stated: StatedUp) -> UpGuess {
 }
 
 impl StatedUp {
+    /// The source of what a file itself says, unlike the convention of its format.
+    pub const COMMENT: &'static str = "the file's comment";
+
     /// Of scenes in memory, about which no file says anything: as networks know rooms.
     pub const UPRIGHT: Self = Self { direction: Up::PLUS_Z, source: "the convention of networks" };
 }

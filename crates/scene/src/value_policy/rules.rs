@@ -100,7 +100,8 @@ value_rules! {
     ColorNan: "color", "DC term NaN", Repair, "mid-gray, DC term 0";
     ColorInfinite: "color", "DC term infinite", Repair, "clipped to color 0 or 1";
     ColorOutside: "color", "DC term beyond color 0 to 1", Accept, "kept, clipped when turned into bytes";
-    ColorFromBytes: "color", "red, green, blue instead of a DC term", Accept, "DC term of the same byte";
+    ColorFromBytes: "color", "red, green, blue instead of a DC term", Accept, "DC term of the same color";
+    ColorClipped: "color", "red, green, blue outside 0 to 1, 255 or 65535", Repair, "clipped";
     ColorMissing: "color", "color missing", Repair, "mid-gray, byte 128";
     RestNotFinite: "sh_rest", "NaN or infinite", Repair, "the coefficient becomes 0";
     RestCount: "sh_rest", "a number of f_rest columns other than 0, 9, 24, 45, 72", Refuse, "an error";

@@ -5,11 +5,13 @@
 mod common;
 
 mod cameras;
+mod colors;
 mod compressed_ply;
 mod editing;
 mod gltf;
 mod hostile;
 mod inria_ply;
+mod kept;
 mod ksplat;
 mod labelled_ply;
 mod npy;
@@ -23,3 +25,4 @@ mod sog_streamed;
 mod splat;
 mod spz;
 mod writing;
+mod wrong_files;

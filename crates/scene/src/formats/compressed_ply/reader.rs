@@ -5,7 +5,7 @@ use super::code::{
 };
 use super::{BOUNDS, CHUNK, CHUNK_ROWS, COLOR_BOUNDS, PACKED, SH, VERTEX};
 use crate::formats::inria_ply::{rest_names, sh_degree};
-use crate::formats::label_column::{read_instance, read_segment};
+use crate::formats::label_column::{read_instance, read_segment, segment_name};
 use crate::formats::packed_values::{alpha_logits, dc_of};
 use crate::formats::ply::{ByteRows, PlyElement, PlyFile};
 use crate::formats::scene_blocks::{SceneBlock, fill_scene};
@@ -79,11 +79,19 @@ pub fn read_compressed_ply(
     }
     scene.segment = segment;
     scene.instance = instance;
+    let remarks = file.remarks(&mut report);
+    scene.antialiased = remarks.antialiased.unwrap_or(false);
+    let labels = segment_name(vertex, options.segment.as_deref());
+    let is_read = |name: &str| PACKED.contains(&name) || Some(name) == labels || name == "instance";
+    let (extra, unread) = file.unknown(vertex, is_read, &[CHUNK, SH], options.extra)?;
+    scene.extra = extra;
     if let Some(bytes) = file.file_bytes() {
         let (path, policy) = (file.path(), options.policy);
         semantics::read_sidecar(path, bytes, vertex.count, policy, &mut scene, &mut report)?;
     }
-    LoadedScene::finish(scene, report, options.policy, file.path(), SceneFormat::CompressedPly)
+    let (policy, kind) = (options.policy, SceneFormat::CompressedPly);
+    let loaded = LoadedScene::finish(scene, report, policy, file.path(), kind)?;
+    Ok(LoadedScene { unread, ..loaded.with_remarks(&remarks) })
 }
 
 fn bad(file: &PlyFile, problem: impl Into<String>) -> SceneError {

@@ -6,6 +6,7 @@ use super::order::{Tick, chunk_order};
 use super::{BOUNDS, CHUNK, CHUNK_ROWS, COLOR_BOUNDS, PACKED, SH, VERTEX};
 use crate::AtomicFile;
 use crate::formats::files::write_all_at;
+use crate::formats::inria_ply::comments;
 use crate::formats::limit_tally::{LimitTally, Limits};
 use crate::formats::packed_values::{ALPHA_ENDS, alpha, nearest_byte, tally_alpha};
 use crate::formats::{WriteOptions, WriteProgress, WriteReport};
@@ -53,7 +54,7 @@ const LIMITS: [(&str, &str); 4] = [
 pub(in crate::formats) fn write_compressed_ply(
     scene: &GaussianScene,
     file: &AtomicFile,
-    _options: &WriteOptions,
+    options: &WriteOptions,
     report: &mut WriteReport,
     progress: WriteProgress<'_>,
 ) -> Result<(), SceneError> {
@@ -66,7 +67,7 @@ pub(in crate::formats) fn write_compressed_ply(
     let rounded =
         |order: Option<&[u32]>, tick: Tick<'_>| rounded_positions(&scene.coord, order, tick);
     let order = chunk_order(&scene.coord, rounded, &mut tick)?;
-    let limits = Packer::new(scene, order.as_deref()).write(file, progress)?;
+    let limits = Packer::new(scene, order.as_deref(), options).write(file, progress)?;
     report.limits(LIMITS, limits);
     if scene.sh_degree > MAX_DEGREE {
         report.left_out("sh_rest", "degree 4 has no place in this format, degree 3 is kept");
@@ -107,6 +108,7 @@ fn rounded_positions(
 
 struct Packer<'a> {
     scene: &'a GaussianScene,
+    comments: Vec<String>,
     order: Option<&'a [u32]>,
     /// Coefficients per channel in the file and in the scene.
     rest: usize,
@@ -122,14 +124,16 @@ struct PackedChunk {
 }
 
 impl<'a> Packer<'a> {
-    fn new(scene: &'a GaussianScene, order: Option<&'a [u32]>) -> Self {
+    fn new(scene: &'a GaussianScene, order: Option<&'a [u32]>, options: &WriteOptions) -> Self {
         let rest = sh_rest_len(scene.sh_degree.min(MAX_DEGREE));
-        Self { scene, order, rest, scene_rest: scene.sh_rest_len() }
+        let comments = comments(scene, options);
+        Self { scene, comments, order, rest, scene_rest: scene.sh_rest_len() }
     }
 
     fn header(&self) -> String {
         let rows = self.scene.len();
         let mut text = "ply\nformat binary_little_endian 1.0\n".to_owned();
+        self.comments.iter().for_each(|comment| text += &format!("comment {comment}\n"));
         let mut element = |name: &str, count: usize, ty: &str, properties: &[String]| {
             text += &format!("element {name} {count}\n");
             properties.iter().for_each(|name| text += &format!("property {ty} {name}\n"));

@@ -175,12 +175,14 @@ pub(super) struct Scene {
     pub nodes: Vec<u32>,
 }
 
-/// Whether the text is a JSON object with `asset`, as every glTF document.
+/// Whether the text is a JSON object with `asset`, as every glTF document. So has the index of 3D Tiles,
+/// which no glTF document is: it has a `root`.
 pub(super) fn has_asset(json: &[u8]) -> bool {
     #[derive(Deserialize)]
     struct Probe {
         #[serde(rename = "asset")]
         _asset: BTreeMap<String, IgnoredAny>,
+        root: Option<IgnoredAny>,
     }
-    serde_json::from_slice::<Probe>(json).is_ok()
+    serde_json::from_slice::<Probe>(json).is_ok_and(|probe| probe.root.is_none())
 }

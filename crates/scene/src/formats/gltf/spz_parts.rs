@@ -112,7 +112,8 @@ impl<'a> SpzParts<'a> {
         if part.uses == 0 {
             return Ok(scene);
         }
-        let mut copy = GaussianScene { sh_degree: scene.sh_degree, ..GaussianScene::default() };
+        let (sh_degree, antialiased) = (scene.sh_degree, scene.antialiased);
+        let mut copy = GaussianScene { sh_degree, antialiased, ..GaussianScene::default() };
         let width = scene.sh_rest_len() * 3;
         join(&mut copy, &scene, scene.len(), width).ok_or_else(|| {
             let rows = scene.len();

@@ -1,8 +1,11 @@
 //! Writing the preprocessed scene.
 
+use super::STEMS;
 use crate::StagedFolder;
 use crate::formats::limit_tally::{LimitTally, Limits};
-use crate::formats::npy_writer::{NpyElement, NpyRowWriter};
+use crate::formats::npy::NpyFile;
+use crate::formats::npy_writer::{NpyElement, NpyRowWriter, write_npy_bytes};
+use crate::formats::output_names::output_names;
 use crate::formats::packed_values::{
     ALPHA_ENDS, COLOR_CLIPPED, SIZE_CUT, SIZE_VANISHES, settle_float, tally_alpha, tally_colors,
     tally_sizes,
@@ -14,27 +17,6 @@ use crate::{GaussianScene, SceneError};
 use rayon::prelude::*;
 use std::ffi::OsString;
 use std::path::Path;
-
-/// Stems of the files that are written here.
-const STEMS: [&str; 17] = [
-    "coord",
-    "color",
-    "opacity",
-    "scale",
-    "quat",
-    "normal",
-    "lang_feat",
-    "valid_feat_mask",
-    "segment",
-    "instance",
-    "score",
-    "lang_code",
-    "lang_codebook_mean",
-    "lang_codebook_axes",
-    "pc_coord",
-    "pc_segment",
-    "pc_instance",
-];
 
 /// Bytes written between two reports of progress: a few ms of work.
 const BYTES_PER_TICK: usize = 4 << 20;
@@ -49,8 +31,8 @@ const ROWS_PER_TASK: usize = 4096;
 ///
 /// # Errors
 /// If the arrays do not match, if the folder holds a scene and `overwrite` is false, if it holds
-/// labels of other names (`segment20.npy`), which would be read as those of the new scene, or if a
-/// file cannot be written. Then everything is as it was.
+/// labels of other names (`segment20.npy`) or other arrays of as many rows, which would be read as those
+/// of the new scene, or if a file cannot be written. Then everything is as it was.
 pub fn write_npy_folder(
     scene: &GaussianScene,
     folder: &Path,
@@ -76,28 +58,65 @@ pub(in crate::formats) fn write_npy_scene(
     report: &mut WriteReport,
     progress: WriteProgress<'_>,
 ) -> Result<(), SceneError> {
-    let old = replaced_files(folder, options.overwrite)?;
+    let names = extra_names(scene, report);
+    let old = replaced_files(folder, options.overwrite, scene.len(), &names)?;
     let staged = StagedFolder::create(folder)?;
     let total = total_bytes(scene);
     let mut writer = Writer { staged, progress, done: 0, total };
     write_files(scene, &mut writer, report)?;
+    for (column, name) in scene.extra.iter().zip(&names) {
+        let shape: Vec<usize> = [&[scene.len()], column.row_shape.as_slice()].concat();
+        let path = writer.staged.add(format!("{name}.npy"));
+        write_npy_bytes(&path, column.ty, &shape, &column.bytes)?;
+        writer.tick(column.bytes.len())?;
+    }
     writer.staged.commit(&old)?.iter().try_for_each(|file| report.wrote(file))
 }
 
-/// Files of an earlier scene that make room for a new one, sorted; none if there is no such folder.
-fn replaced_files(folder: &Path, overwrite: bool) -> Result<Vec<OsString>, SceneError> {
+/// Names of the files of columns of unknown meaning; says which are not those of the columns.
+fn extra_names(scene: &GaussianScene, report: &mut WriteReport) -> Vec<String> {
+    let is_label = |name: &str| name.starts_with("segment");
+    let labels = scene.extra.iter().filter(|column| is_label(&column.name)).count();
+    // The only file of labels would be read as the labels; of several, none is.
+    let lone = scene.segment.is_none() && labels == 1;
+    let is_taken = |name: &str| {
+        let name = name.to_ascii_lowercase();
+        let score = name == "score" && scene.segment.is_none();
+        (STEMS.contains(&name.as_str()) && !score)
+            || name.starts_with("pc_")
+            || name.starts_with('.')
+            || (lone && is_label(&name))
+    };
+    let allowed = |c: char| c.is_ascii_alphanumeric() || matches!(c, '_' | '-' | '.');
+    let (names, renamed) = output_names(&scene.extra, false, allowed, is_taken);
+    renamed.iter().for_each(|text| report.left_out("extra", text));
+    names.into_iter().flatten().collect()
+}
+
+/// Files of an earlier scene that make room for a new one of `rows` rows and `extra` columns, sorted; none
+/// if there is no such folder.
+fn replaced_files(
+    folder: &Path,
+    overwrite: bool,
+    rows: usize,
+    extra: &[String],
+) -> Result<Vec<OsString>, SceneError> {
     if !folder.exists() {
         return Ok(Vec::new());
     }
     let failed = || SceneError::io(folder, "cannot list the folder");
-    let (mut known, mut labels) = (Vec::new(), Vec::new());
+    let (mut known, mut labels, mut columns) = (Vec::new(), Vec::new(), Vec::new());
     for entry in std::fs::read_dir(folder).map_err(failed())? {
         let name = entry.map_err(failed())?.file_name();
         let stem = name.to_str().and_then(|name| name.strip_suffix(".npy")).unwrap_or_default();
-        if STEMS.contains(&stem) {
+        if STEMS.contains(&stem) || extra.iter().any(|e| e == stem) {
             known.push(name);
         } else if stem.starts_with("segment") || stem.starts_with("pc_segment") {
             labels.push(name);
+        } else if !stem.is_empty()
+            && NpyFile::open(&folder.join(&name)).is_ok_and(|f| f.shape().first() == Some(&rows))
+        {
+            columns.push(name);
         }
     }
     known.sort();
@@ -112,6 +131,15 @@ fn replaced_files(folder: &Path, overwrite: bool) -> Result<Vec<OsString>, Scene
             format!("holds {}, which would be taken for labels of the new scene", names.join(", "));
         return Err(SceneError::format(folder, problem, "move them away or choose another folder"));
     }
+    columns.sort();
+    if !columns.is_empty() {
+        let names: Vec<_> = columns.iter().map(|name| name.to_string_lossy()).collect();
+        let problem = format!(
+            "holds {}, which would be taken for columns of the new scene",
+            names.join(", ")
+        );
+        return Err(SceneError::format(folder, problem, "move them away or choose another folder"));
+    }
     Ok(known)
 }
 
@@ -123,6 +151,7 @@ fn total_bytes(scene: &GaussianScene) -> usize {
     });
     let position = if scene.has_origin() { 24 } else { 12 };
     rows(true, position + 3 + 4 + 12 + 16)
+        + scene.extra.iter().map(|column| column.bytes.len()).sum::<usize>()
         + rows(scene.normal.is_some(), 12)
         + rows(scene.segment.is_some(), 4)
         + rows(scene.instance.is_some(), 4)

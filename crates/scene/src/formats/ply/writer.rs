@@ -306,6 +306,8 @@ pub(crate) enum ColumnSource<'a> {
     Placed { values: &'a [f32], width: usize, at: usize, add: f64 },
     /// As `Strided`, written as `float`.
     StridedHalf { values: &'a [f16], width: usize, at: usize },
+    /// Of rows of `width` values of this type, least significant byte first, the one at `at`.
+    Bytes { ty: PlyType, bytes: &'a [u8], width: usize, at: usize },
     /// `0.0` in every row.
     Zero,
 }
@@ -315,6 +317,7 @@ impl ColumnSource<'_> {
         match self {
             Self::Values(values) => values.ty(),
             Self::Placed { .. } => PlyType::F64,
+            Self::Bytes { ty, .. } => *ty,
             _ => PlyType::F32,
         }
     }
@@ -332,6 +335,9 @@ impl ColumnSource<'_> {
             Self::StridedHalf { values, width, at } => {
                 out.extend_from_slice(&values[row * width + at].to_f32().to_le_bytes());
             }
+            Self::Bytes { ty, bytes, width, at } => {
+                out.extend_from_slice(&bytes[(row * width + at) * ty.size()..][..ty.size()]);
+            }
             Self::Zero => out.extend_from_slice(&[0; 4]),
         }
     }
@@ -344,9 +350,11 @@ pub(crate) struct NewElement<'a> {
     pub(crate) columns: Vec<(String, ColumnSource<'a>)>,
 }
 
-/// Writes a PLY file of vertices and further elements; nothing is left if `progress` says stop.
+/// Writes a PLY file of comments, vertices and further elements; nothing is left if `progress` says
+/// stop.
 pub(crate) fn write_new_ply(
     file: &AtomicFile,
+    comments: &[String],
     count: usize,
     columns: &[(String, ColumnSource<'_>)],
     after: &[NewElement<'_>],
@@ -354,6 +362,7 @@ pub(crate) fn write_new_ply(
 ) -> Result<(), SceneError> {
     let path = file.target();
     let mut header = "ply\nformat binary_little_endian 1.0\n".to_owned();
+    comments.iter().for_each(|text| header.push_str(&format!("comment {text}\n")));
     describe(VERTEX, count, columns, path, &mut header)?;
     for element in after {
         describe(element.name, element.count, &element.columns, path, &mut header)?;

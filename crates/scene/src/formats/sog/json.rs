@@ -78,6 +78,10 @@ impl<'a> Field<'a> {
     }
 
     /// Whether it is `null`.
+    pub(super) fn is_true(&self) -> bool {
+        self.value.as_bool() == Some(true)
+    }
+
     pub(super) fn is_null(&self) -> bool {
         self.value.is_null()
     }

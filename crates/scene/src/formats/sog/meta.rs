@@ -28,6 +28,8 @@ pub(super) struct SogMeta {
     pub(super) color_tables: Box<[ByteTable; 4]>,
     pub(super) sh0: String,
     pub(super) sh_rest: Option<ShRestMeta>,
+    /// Whether the scene was trained for antialiased rendering.
+    pub(super) antialiased: bool,
     /// The block of labels that this program wrote beside the textures.
     pub(super) labels: Option<String>,
 }
@@ -176,8 +178,16 @@ fn parse_common(
         color_tables,
         sh0: one_file("sh0")?,
         sh_rest,
+        antialiased: says_antialiased(root),
         labels: labels.map(|name| file_name(&name)).transpose()?,
     })
+}
+
+/// Whether the scene is marked: by `antialias`, or by the `model` that newer writers name.
+fn says_antialiased(root: &Field<'_>) -> bool {
+    let model = root.opt("model");
+    root.opt("antialias").is_some_and(|field| field.is_true())
+        || model.is_some_and(|model| model.text().is_ok_and(|name| name == "antialiased"))
 }
 
 /// The list `files` of a field.

@@ -117,6 +117,7 @@ fn read_one(
     let sog = OpenSog::open(source, options.sh_rest)?;
     let rows = sog.meta.count;
     let mut scene = zero_scene(rows, sog.sh_degree());
+    scene.antialiased = sog.meta.antialiased;
     let mut report = RepairReport::default();
     let all = 0..rows;
     sog.decode(std::slice::from_ref(&all), &mut scene, 0)?;

@@ -184,7 +184,7 @@ fn read_chunks(
 ) -> Result<LoadedScene, SceneError> {
     // A chunk is checked when it is opened, and only open while it is read: scenes of hundreds of
     // chunks would hold thousands of files.
-    let (mut rows, mut sh_degree, mut labelled) = (0usize, 0, false);
+    let (mut rows, mut sh_degree, mut labelled, mut antialiased) = (0usize, 0, false, true);
     let mut degrees = BTreeSet::new();
     for (chunk, runs) in chunks {
         with_chunk(chunk, options, |sog| {
@@ -201,6 +201,7 @@ fn read_chunks(
             sh_degree = sh_degree.max(sog.sh_degree());
             degrees.insert(sog.sh_degree());
             labelled |= sog.meta.labels.is_some();
+            antialiased &= sog.meta.antialiased;
             Ok(())
         })?;
     }
@@ -211,6 +212,7 @@ fn read_chunks(
         report.notes.push("chunks have different numbers of bands; missing ones became 0".into());
     }
     let mut scene = zero_scene(rows, sh_degree);
+    scene.antialiased = antialiased && !chunks.is_empty();
     let mut first = 0;
     for (chunk, runs) in chunks {
         with_chunk(chunk, options, |sog| sog.decode(runs, &mut scene, first))?;

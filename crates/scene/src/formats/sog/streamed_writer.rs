@@ -133,6 +133,7 @@ fn part_of(scene: &GaussianScene, chunk: &Chunk) -> Result<(GaussianScene, Vec<u
     let mut part = scene.select_rows(&wanted)?;
     // Labels have no place, and would make each chunk larger for nothing.
     (part.segment, part.segment_score, part.instance, part.lang_code) = (None, None, None, None);
+    part.extra.clear();
     let mut at = 0;
     for (_, rows, growth) in &chunk.leaves {
         let add = growth.ln() as f32;

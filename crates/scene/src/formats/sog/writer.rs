@@ -149,6 +149,10 @@ pub(super) fn encode(
         sink(LABELS_NAME, &block)?;
         meta[OWN_KEY] = json!({ "labels": LABELS_NAME });
     }
+    if scene.antialiased {
+        meta["antialias"] = true.into();
+        meta["model"] = "antialiased".into();
+    }
     report.order = order;
     sink(META_NAME, meta.to_string().as_bytes())
 }

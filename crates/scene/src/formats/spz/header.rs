@@ -49,6 +49,12 @@ impl Header {
         Ok(Self { version, rows, degree, fractional_bits, flags })
     }
 
+    /// With the flag of extension records, if there are any.
+    pub(super) fn with_records(self, any: bool) -> Self {
+        let flags = if any { self.flags | EXTENSIONS } else { self.flags };
+        Self { flags, ..self }
+    }
+
     /// The part that every version has; byte 15 is the number of streams in version 4, else 0.
     pub(super) fn to_bytes(self, rows: u32, byte_15: u8) -> [u8; LEGACY_SIZE] {
         let mut bytes = [0; LEGACY_SIZE];

@@ -56,9 +56,7 @@ pub(crate) fn read_spz_as_stored(
         Trailing::Behind(n) => report.add(Rule::FileTrailing, 1, rows, &format!("{n} bytes")),
         Trailing::Within => report.add(Rule::FileTrailing, 1, rows, "a longer stream"),
     }
-    if read.header.flags & ANTIALIASED != 0 {
-        report.notes.push("trained for antialiased rendering".to_owned());
-    }
+    read.scene.antialiased = read.header.flags & ANTIALIASED != 0;
     if let Some(frame) = read.stated {
         if options.spz_frame == SpzFrame::Raw {
             report.notes.push(format!("says that it is {frame}; not converted, as asked"));

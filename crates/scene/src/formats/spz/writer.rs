@@ -5,7 +5,7 @@ use super::attributes::{
     encode_alpha, encode_color, encode_position, encode_rest, encode_scale, rest_bucket,
 };
 use super::extensions::records_of;
-use super::header::{Block, EXTENSIONS, Header, USUAL_BITS, V4_SIZE};
+use super::header::{ANTIALIASED, Block, Header, USUAL_BITS, V4_SIZE};
 use super::quaternion::QuatCoding;
 use super::signs::Signs;
 use crate::AtomicFile;
@@ -129,7 +129,7 @@ impl<'a> Coder<'a> {
             rows: scene.len(),
             degree,
             fractional_bits: grid.bits,
-            flags: 0,
+            flags: if scene.antialiased { ANTIALIASED } else { 0 },
         };
         let signs = Signs::assumed(options.spz_frame);
         let (quats, tables) = (QuatCoding::of(header.version), ByteTables::new());
@@ -359,8 +359,7 @@ fn v4_head(
 ) -> Result<Vec<u8>, SceneError> {
     let too_long = || SceneError::format(file.target(), "cannot hold labels of that size", "");
     let toc = u32::try_from(V4_SIZE + records.len()).map_err(|_| too_long())?;
-    let flags = if records.is_empty() { 0 } else { EXTENSIONS };
-    let header = Header { flags, ..coder.header };
+    let header = coder.header.with_records(!records.is_empty());
     let mut head = header.to_bytes(coder.rows, frames.len() as u8).to_vec();
     head.extend_from_slice(&toc.to_le_bytes());
     head.resize(V4_SIZE, 0);
@@ -379,8 +378,7 @@ fn write_legacy(
     progress: WriteProgress<'_>,
 ) -> Result<Limits<6>, SceneError> {
     let io = || SceneError::io(file.target(), "cannot write the scene");
-    let flags = if records.is_empty() { 0 } else { EXTENSIONS };
-    let header = Header { flags, ..coder.header };
+    let header = coder.header.with_records(!records.is_empty());
     let mut to: GzEncoder<BufWriter<&File>> =
         GzEncoder::new(BufWriter::new(file.file()), Compression::default());
     to.write_all(&header.to_bytes(coder.rows, 0)).map_err(io())?;
