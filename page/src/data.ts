@@ -23,6 +23,10 @@ export interface About {
   texts: string[];
   colorWords: string[];
   groups: { name: string; members: number[] }[];
+  /** Words that deny what follows. */
+  denials: string[];
+  /** Words for places, and the relation of objects that they are, if any. */
+  places: [string, string | null][];
   codes: { width: number; slots: number } | null;
   hasScores: boolean;
   phrases: number;

@@ -19,19 +19,19 @@ export interface Meaning {
 /** "the lamp on the desk" in its parts. */
 export interface Relation {
   what: string;
-  relation: string;
+  /** Null if no relation of objects is this place. */
+  relation: string | null;
+  /** Its words. */
+  word: string;
   to: string;
 }
 
-const RELATIONS: [string, string][] = [
-  ["on top of", "on"], ["standing on", "on"], ["lying on", "on"], ["next to", "near"],
-  ["close to", "near"], ["beside", "near"], ["near", "near"], ["above", "above"], ["over", "above"],
-  ["below", "under"], ["under", "under"], ["inside", "in"], ["on", "on"], ["in", "in"],
-];
 const ARTICLES = new Set(["the", "a", "an", "some", "any", "my"]);
 /** As `ALIKE` and `SURE` of the program. */
 const ALIKE = 0.4;
 const SURE = 0.55;
+/** Denials that no English word is a letter from. */
+const MISSPELT = ["without", "except", "excluding"];
 
 export function words(text: string): string[] {
   const parts = text.toLowerCase().split(/[^\p{L}\p{N}]+/u);
@@ -81,17 +81,31 @@ export class PhraseBook {
     this.colors = new Set(data.about.colorWords);
   }
 
+  /** Whether a phrase denies what it names; a name of the scene denies nothing. */
+  denies(text: string): boolean {
+    const all = words(text);
+    if (/n['’]t\b|(^|\s)[!¬~-]\p{L}|\bw\/o\b/u.test(text.toLowerCase())) return true;
+    if (this.texts.has(all.map(singular).join(" "))) return false;
+    if (all.some((word) => MISSPELT.some((right) => isTypo(word, right)))) return true;
+    const phrase = ` ${all.join(" ")} `;
+    return this.data.about.denials.some((denial) => phrase.includes(` ${denial} `));
+  }
+
+  /** The first words of a place, unless the phrase is known as a whole. */
   relation(text: string): Relation | null {
     const all = words(text);
-    for (let at = 1; at < all.length - 1; at++) {
-      for (const [phrase, relation] of RELATIONS) {
-        const parts = phrase.split(" ");
-        if (at + parts.length < all.length && parts.every((p, i) => all[at + i] === p)) {
-          return {
-            what: all.slice(0, at).join(" "), relation, to: all.slice(at + parts.length).join(" "),
-          };
-        }
+    if (this.phrases.has(all.map(singular).join(" "))) return null;
+    for (let at = 0; at < all.length - 1; at++) {
+      let best: Relation | null = null, most = 0;
+      for (const [word, relation] of this.data.about.places) {
+        const parts = word.split(" ");
+        if (parts.length <= most || at + parts.length >= all.length) continue;
+        if (!parts.every((part, i) => all[at + i] === part)) continue;
+        most = parts.length;
+        const what = all.slice(0, at).filter((w) => w !== "standing" && w !== "lying").join(" ");
+        best = { what, relation, word, to: all.slice(at + most).join(" ") };
       }
+      if (best !== null) return best;
     }
     return null;
   }

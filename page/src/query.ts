@@ -2,7 +2,7 @@
 
 import type { Codes } from "./codes";
 import type { SceneData } from "./data";
-import { PhraseBook } from "./phrases";
+import { PhraseBook, type Relation } from "./phrases";
 
 export interface Found {
   /** What was asked. */
@@ -24,6 +24,9 @@ export interface Found {
 const SLACK = 0.02;
 
 export function answer(data: SceneData, book: PhraseBook, text: string): Found {
+  if (book.denies(text)) {
+    return nothing(data, text, "a page does not answer what a phrase denies: ask for it, then invert the selection");
+  }
   const relation = book.relation(text);
   if (relation !== null) {
     const found = byRelation(data, book, text, relation);
@@ -101,11 +104,15 @@ function difference(data: SceneData, book: PhraseBook, text: string, sides: stri
   return { text, how, isUnknown: false, heat, range: [-most, most], wins, threshold: 128, objects: null };
 }
 
-function byRelation(
-  data: SceneData, book: PhraseBook, text: string, asked: { what: string; relation: string; to: string },
-): Found | null {
-  const what = book.meaning(asked.what), to = book.meaning(asked.to);
-  if (what.members.length === 0 || to.members.length === 0) return null;
+function byRelation(data: SceneData, book: PhraseBook, text: string, asked: Relation): Found | null {
+  const to = book.meaning(asked.to);
+  // "Something soft under my head" says by what it is what it is.
+  if (to.members.length === 0) return null;
+  if (asked.relation === null) {
+    return nothing(data, text, `objects do not tell “${asked.word}”; they tell on, above, under, in, near`);
+  }
+  const what = book.meaning(asked.what);
+  if (what.members.length === 0) return nothing(data, text, what.how || "objects are told by class, not by color");
   const { objects, relations } = data.about;
   const found = new Set<number>();
   for (const [a, relation, b] of relations) {

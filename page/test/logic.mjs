@@ -53,6 +53,7 @@ function scene({ Codes }) {
     about: {
       count: n, total: 9, classes, objects: [object(1, 0), object(2, 1), object(3, 2)],
       relations: [[2, "on", 1], [0, "near", 1], [1, "under", 2]], texts: ["chair", "desk", "lamp", "red chair"], colorWords: ["red"],
+      denials: ["not", "no", "except", "other than"], places: [["on", "on"], ["on top of", "on"], ["under", "under"], ["left of", null]],
       groups: [{ name: "furniture", members: [0, 1] }], codes: { width: 3, slots: 5 }, hasScores: true, phrases: 2,
       metresPerUnit: 1, title: "t", remarks: [], chunks: null,
     },
@@ -159,6 +160,15 @@ export async function check(m) {
   assert.deepEqual(ask("desk on the lamp").objects, []);
   assert.deepEqual(ask("desk under a lamp").objects, [1]);
   assert.deepEqual(chosen(ask("lamp on desk")), [0, 0, 0, 0, 1, 0]);
+  // What is denied, or stands where objects do not tell, is not answered by what is named.
+  const refused = [["not a chair", /denies/], ["no desk", /denies/], ["all but not chairs", /denies/], ["everything other than the lamp", /denies/],
+    ["what isn’t a chair", /denies/], ["!chair", /denies/], ["exept chairs", /denies/], ["chair left of the desk", /“left of”/],
+    ["red chair on the desk", /color/]];
+  for (const [text, how] of refused) {
+    assert.match(ask(text).how, how);
+    assert.deepEqual([text, ask(text).isUnknown, chosen(ask(text))], [text, true, [0, 0, 0, 0, 0, 0]]);
+  }
+  for (const text of ["another chair", "knot", "button", "north wall", "nonstick pan"]) assert.equal(book.denies(text), false, text);
   // Which of two: warmer than the middle.
   const versus = ask("chair vs lamp");
   assert.ok(versus.heat[0] > 200 && versus.heat[4] < 50 && versus.heat[5] === 127, Array.from(versus.heat).join());

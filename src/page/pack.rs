@@ -6,6 +6,7 @@ use super::words::Words;
 use super::{MOST_NAMES, PageError, PageInput, PageReport, PageSettings, blocks};
 use crate::outputs::label_colors;
 use scenesplat_objects::{Catalogue, Object};
+use scenesplat_text::{denial_words, place_words};
 use serde_json::{Value, json};
 
 /// Blocks of numbers, what they mean, and what is said about them.
@@ -141,6 +142,8 @@ fn about(
         "texts": codes.map_or(input.names, |c| c.names.as_slice()),
         "colorWords": words.colors,
         "groups": words.groups,
+        "denials": denial_words(),
+        "places": place_words(),
         "codes": codes.map(|c| json!({ "width": c.width, "slots": c.count })),
         "hasScores": input.scores.is_some(),
         "phrases": words.phrases.len(),

@@ -1,18 +1,17 @@
 //! `scenesplat objects`
 
 use super::labelled::{LabelArgs, Labelled};
-use crate::error::{WrongUse, refuse};
+use super::meant::Asking;
+use crate::error::refuse;
 use crate::flags::Shared;
 use crate::frame::frame;
 use crate::session::Session;
 use crate::terminal::print;
 use anyhow::Result;
 use scenesplat::object_picture;
-use scenesplat::objects::relations::Question;
 use scenesplat::objects::{Catalogue, Floor, Object, table};
 use scenesplat::preview::write_png;
 use scenesplat::scene::formats::inria_ply::write_inria_ply;
-use scenesplat::scene::label_set::find_name;
 use scenesplat::scene::{GaussianScene, printable_text};
 use std::path::PathBuf;
 
@@ -33,14 +32,15 @@ pub struct Args {
     /// Also writes each object as a PLY file into the folder DIR of the output folder.
     #[arg(long, value_name = "DIR")]
     pub export: Option<String>,
-    /// Also writes edited.ply without the objects of these classes, or that a phrase such as "lamp on the desk" means;
-    /// comma-separated.
+    /// Also writes edited.ply without the objects of these classes, or that a phrase such as "lamp on the desk" or "not a
+    /// wall" means; comma-separated.
     #[arg(long, value_name = "NAMES", value_delimiter = ',', conflicts_with = "keep")]
     pub remove: Vec<String>,
     /// Also writes edited.ply with nothing but the objects of these classes or phrases.
     #[arg(long, value_name = "NAMES", value_delimiter = ',')]
     pub keep: Vec<String>,
-    /// Prints the objects that a phrase means, such as "lamp on the desk" (on, above, under, in, near).
+    /// Prints the objects that a phrase means, such as "lamp on the desk" (on, above, under, in, near) or "everything except
+    /// the walls".
     #[arg(long, value_name = "PHRASE")]
     pub find: Option<String>,
     /// Flags of all commands.
@@ -71,8 +71,9 @@ pub fn run(args: &Args, line: &str) -> Result<()> {
     session.check_stop()?;
     print(&table::markdown(&found));
     print(&summary(&found));
+    let asking = Asking { session: &session, found: &found, labels: &labelled.names };
     if let Some(phrase) = &args.find {
-        print(&answer(&found, phrase)?);
+        print(&answer(&asking, phrase)?);
     }
     write_objects(&session, &labelled, &found)?;
     if let Some(path) = &args.json {
@@ -90,7 +91,7 @@ pub fn run(args: &Args, line: &str) -> Result<()> {
         export(&session, &scene, &found, folder)?;
     }
     if edits {
-        edit(args, &session, &scene, &found)?;
+        edit(args, &asking, &scene)?;
     }
     session.receipt.add_rows_out(scene.len());
     drop(_stage);
@@ -157,24 +158,8 @@ fn with_instances(labelled: &Labelled, found: &Catalogue) -> GaussianScene {
     }
 }
 
-/// The places of the objects that a class or a phrase means.
-fn meant(found: &Catalogue, phrase: &str) -> Result<Vec<usize>> {
-    if let Some(places) = Question::parse(phrase).and_then(|q| q.answer(found)) {
-        return Ok(places);
-    }
-    let mut names: Vec<String> = found.objects.iter().map(|o| o.class.clone()).collect();
-    names.dedup();
-    let single = phrase.strip_suffix('s').unwrap_or(phrase);
-    let class = find_name(&names, phrase).or_else(|_| find_name(&names, single)).map_err(|_| {
-        let known: Vec<&str> = names.iter().take(60).map(String::as_str).collect();
-        let all = printable_text(&known.join(", ")).to_string();
-        WrongUse(format!("no object is a {phrase:?}; there are: {all}"))
-    })?;
-    Ok((0..found.objects.len()).filter(|&i| found.objects[i].class == names[class]).collect())
-}
-
-fn answer(found: &Catalogue, phrase: &str) -> Result<String> {
-    let places = meant(found, phrase)?;
+fn answer(asking: &Asking<'_>, phrase: &str) -> Result<String> {
+    let (places, found) = (asking.meant(phrase)?, asking.found);
     if places.is_empty() {
         return Ok(format!("{phrase:?}: none"));
     }
@@ -223,16 +208,11 @@ fn file_name(class: &str) -> String {
     if name.is_empty() { "object".to_owned() } else { name }
 }
 
-fn edit(
-    args: &Args,
-    session: &Session<'_>,
-    scene: &GaussianScene,
-    found: &Catalogue,
-) -> Result<()> {
+fn edit(args: &Args, asking: &Asking<'_>, scene: &GaussianScene) -> Result<()> {
     let mut chosen = vec![false; scene.len()];
     for phrase in args.remove.iter().chain(&args.keep) {
-        for place in meant(found, phrase)? {
-            found.objects[place].rows.iter().for_each(|&row| chosen[row as usize] = true);
+        for place in asking.meant(phrase)? {
+            asking.found.objects[place].rows.iter().for_each(|&row| chosen[row as usize] = true);
         }
     }
     let keeps = !args.keep.is_empty();
@@ -243,6 +223,6 @@ fn edit(
         refuse!("{flag}: nothing would be left of the scene");
     }
     print(&format!("edited.ply: {} of {} Gaussians", left.len(), scene.len()));
-    session.write("edited.ply", |path| write_inria_ply(&left, &[], path))?;
+    asking.session.write("edited.ply", |path| write_inria_ply(&left, &[], path))?;
     Ok(())
 }

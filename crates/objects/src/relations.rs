@@ -1,7 +1,7 @@
-//! How objects stand to each other, and questions in these words.
+//! How objects stand to each other.
 
 use crate::catalogue::{Catalogue, Object};
-use scenesplat_scene::label_set::find_name;
+use std::fmt;
 
 /// How one object stands to another.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, serde::Serialize)]
@@ -19,89 +19,50 @@ pub enum Relation {
     Near,
 }
 
-/// The words of a relation, longer ones before those that they begin with.
-const WORDS: [(&str, Relation); 13] = [
-    ("on top of", Relation::On),
-    ("standing on", Relation::On),
-    ("lying on", Relation::On),
-    ("next to", Relation::Near),
-    ("close to", Relation::Near),
-    ("beside", Relation::Near),
-    ("near", Relation::Near),
-    ("above", Relation::Above),
-    ("over", Relation::Above),
-    ("below", Relation::Under),
-    ("under", Relation::Under),
-    ("inside", Relation::In),
-    ("on", Relation::On),
-];
+impl Relation {
+    /// All of them.
+    pub const ALL: [Self; 5] = [Self::On, Self::Above, Self::Under, Self::In, Self::Near];
+}
+
+/// Its word: "on".
+impl fmt::Display for Relation {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(match self {
+            Self::On => "on",
+            Self::Above => "above",
+            Self::Under => "under",
+            Self::In => "in",
+            Self::Near => "near",
+        })
+    }
+}
 
 /// Rests on: the lower face is so near to a face of the other, meters.
 const REST: f64 = 0.12;
 /// Near: at most so far apart, meters.
 const NEAR: f64 = 1.0;
 
-/// A question such as "the lamp on the desk", in its parts.
-#[derive(Debug, Clone, PartialEq, Eq)]
-pub struct Question {
-    /// What is looked for: "lamp".
-    pub what: String,
-    /// How it stands to the other.
-    pub relation: Relation,
-    /// The other: "desk".
-    pub to: String,
-}
-
-impl Question {
-    /// The parts of a phrase, without articles; `None` if it has no words of a relation in its
-    /// middle. "picture over the sofa in the corner" asks for what the first such words say.
-    pub fn parse(phrase: &str) -> Option<Self> {
-        let words: Vec<String> =
-            phrase.split_whitespace().map(str::to_lowercase).filter(|w| !is_article(w)).collect();
-        for at in 1..words.len() {
-            for (text, relation) in WORDS.into_iter().chain([("in", Relation::In)]) {
-                let parts: Vec<&str> = text.split(' ').collect();
-                let end = at + parts.len();
-                if end < words.len() && words[at..end] == parts {
-                    let (what, to) = (words[..at].join(" "), words[end..].join(" "));
-                    return Some(Self { what, relation, to });
-                }
-            }
-        }
-        None
-    }
-
-    /// Places in the catalogue of the objects that answer, best first; `None` if it has no class of one
-    /// of the names.
-    pub fn answer(&self, catalogue: &Catalogue) -> Option<Vec<usize>> {
-        let mut names: Vec<String> = catalogue.objects.iter().map(|o| o.class.clone()).collect();
-        names.dedup();
-        let class = |name: &str| {
-            let single = name.strip_suffix('s').unwrap_or(name);
-            let at = find_name(&names, name).or_else(|_| find_name(&names, single)).ok()?;
-            Some(names[at].as_str())
-        };
-        let (what, to) = (class(&self.what)?, class(&self.to)?);
-        let all = &catalogue.objects;
-        let of = |name: &str| -> Vec<usize> {
-            (0..all.len()).filter(|&i| all[i].class == name).collect()
-        };
-        let others = of(to);
-        let mut found: Vec<(f64, usize)> = of(what)
-            .into_iter()
-            .filter_map(|i| {
-                let best = others.iter().filter(|&&j| j != i);
-                let best = best.filter_map(|&j| distance(&all[i], &all[j], self.relation));
-                best.reduce(f64::min).map(|d| (d, i))
-            })
-            .collect();
-        found.sort_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
-        Some(found.into_iter().map(|(_, i)| i).collect())
-    }
-}
-
-fn is_article(word: &str) -> bool {
-    ["the", "a", "an"].contains(&word)
+/// Places in the catalogue of the objects that stand in a relation to an object, best first: "the lamps on a desk".
+///
+/// `what`, `to`: which objects are looked for, and which they stand to. No object stands to itself.
+pub fn related(
+    catalogue: &Catalogue,
+    what: impl Fn(&Object) -> bool,
+    relation: Relation,
+    to: impl Fn(&Object) -> bool,
+) -> Vec<usize> {
+    let all = &catalogue.objects;
+    let others: Vec<usize> = (0..all.len()).filter(|&j| to(&all[j])).collect();
+    let nearest = |i: usize| {
+        let others = others.iter().filter(|&&j| j != i);
+        others.filter_map(|&j| distance(&all[i], &all[j], relation)).reduce(f64::min)
+    };
+    let mut found: Vec<(f64, usize)> = (0..all.len())
+        .filter(|&i| what(&all[i]))
+        .filter_map(|i| nearest(i).map(|d| (d, i)))
+        .collect();
+    found.sort_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
+    found.into_iter().map(|(_, i)| i).collect()
 }
 
 /// How far from the ideal of a relation two objects are, meters; `None` where it does not hold.
@@ -176,27 +137,19 @@ mod tests {
     }
 
     #[test]
-    fn questions_have_three_parts() {
-        let q = Question::parse("the reading lamp On top of a desk").unwrap();
-        assert_eq!(
-            (q.what.as_str(), q.relation, q.to.as_str()),
-            ("reading lamp", Relation::On, "desk")
-        );
-        assert_eq!(Question::parse("lamp next to the sofa").unwrap().relation, Relation::Near);
-        for none in ["lamp", "on the desk", "lamp on", "lamp on the", "", "something to sit"] {
-            assert_eq!(Question::parse(none), None, "{none}");
-        }
-    }
-
-    #[test]
     fn the_lamp_on_the_desk_is_that_lamp() {
         let room = room();
-        let ask = |text: &str| Question::parse(text).unwrap().answer(&room);
-        assert_eq!(ask("the lamp on the desk"), Some(vec![1]));
-        assert_eq!(ask("lamps above the desk"), Some(vec![1, 3]));
-        assert_eq!(ask("trash can under the desk"), Some(vec![4]));
-        assert_eq!(ask("the lamp near the sofa"), Some(vec![2]));
-        assert_eq!(ask("sofa on the desk"), Some(vec![]));
-        assert_eq!(ask("piano on the desk"), None);
+        let ask = |what: &str, relation, to: &str| {
+            related(&room, |o| o.class == what, relation, |o| o.class == to)
+        };
+        assert_eq!(ask("lamp", Relation::On, "desk"), [1]);
+        assert_eq!(ask("lamp", Relation::Above, "desk"), [1, 3]);
+        assert_eq!(ask("trash can", Relation::Under, "desk"), [4]);
+        assert_eq!(ask("lamp", Relation::Near, "sofa"), [2]);
+        assert!(ask("sofa", Relation::On, "desk").is_empty());
+        assert!(ask("piano", Relation::On, "desk").is_empty());
+        // No desk is near itself.
+        let near_furniture = related(&room, |_| true, Relation::Near, |o| o.class == "desk");
+        assert!(!near_furniture.contains(&0) && near_furniture.contains(&1), "{near_furniture:?}");
     }
 }

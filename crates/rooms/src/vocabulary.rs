@@ -65,6 +65,28 @@ pub enum VocabularyError {
     },
 }
 
+/// What a text names.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Named {
+    /// Of each noun its classes: one, or the members of a group.
+    pub nouns: Vec<Vec<ClassId>>,
+    /// The colors, each once.
+    pub colors: Vec<ColorName>,
+}
+
+impl Named {
+    /// The classes that are meant, each once: those with names of their own, or without any the members of the groups.
+    /// "Kitchen lamp" means lamps; the group only says which.
+    pub fn classes(&self) -> Vec<ClassId> {
+        let own = self.nouns.iter().filter(|noun| noun.len() == 1);
+        let own: Vec<ClassId> = own.flatten().copied().collect();
+        let mut all = if own.is_empty() { self.nouns.concat() } else { own };
+        all.sort_unstable();
+        all.dedup();
+        all
+    }
+}
+
 /// What every Gaussian of a room should be like.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Targets {
@@ -166,6 +188,25 @@ impl Vocabulary {
     /// The color words of a text, and the text without them.
     pub fn split_colors(text: &str) -> (Vec<ColorName>, String) {
         words::split_colors(text)
+    }
+
+    /// The nouns and colors of a text: "red chair" is one noun, "kitchen lamp" and "chair and table" are two.
+    ///
+    /// # Errors
+    /// As [`embed`](Self::embed).
+    pub fn named(text: &str) -> Result<Named, VocabularyError> {
+        let (mut nouns, mut colors) = (Vec::new(), Vec::new());
+        for concept in concepts_of(text)? {
+            match concept {
+                Concept::Class(class) => nouns.push(vec![class]),
+                Concept::Group(group) => {
+                    let is_member = |c: &ClassId| c.about().groups.contains(&group);
+                    nouns.push(ClassId::ALL.iter().copied().filter(is_member).collect());
+                }
+                Concept::Color(color) => colors.push(color),
+            }
+        }
+        Ok(Named { nouns, colors })
     }
 
     /// What a text has to beat where Gaussians are selected by it: the classes it does not mean, and,
@@ -363,6 +404,19 @@ mod tests {
             }
         }
         assert!(vocabulary.rivals("chiar").is_err());
+    }
+
+    #[test]
+    fn nouns_are_told_from_colors() {
+        let red_chair = Named { nouns: vec![vec![ClassId::Chair]], colors: vec![ColorName::Red] };
+        assert_eq!(Vocabulary::named("the Red chairs"), Ok(red_chair));
+        let seats = vec![ClassId::Chair, ClassId::Stool, ClassId::Sofa];
+        assert_eq!(Vocabulary::named("seats").unwrap().nouns, [seats]);
+        let classes = |text: &str| Vocabulary::named(text).unwrap().classes();
+        assert_eq!(classes("box of books"), [ClassId::Book, ClassId::Box]);
+        assert_eq!(classes("kitchen lamp"), [ClassId::Lamp]);
+        assert_eq!(classes("red"), []);
+        assert!(Vocabulary::named("chiar").is_err() && Vocabulary::named("the").is_err());
     }
 
     #[test]

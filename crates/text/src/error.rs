@@ -28,6 +28,14 @@ pub enum PhraseError {
         /// What is wrong with it.
         problem: &'static str,
     },
+    /// A text whose words change what its names mean in a way that has no answer here.
+    #[error("{text:?} {problem}")]
+    Meaning {
+        /// The text, shortened.
+        text: String,
+        /// What it says, and what to ask instead.
+        problem: String,
+    },
     /// None of the words of a text is known.
     #[error(
         "none of the words of {text:?} is known: the phrase table holds {known} English words and phrases (a \

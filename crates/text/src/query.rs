@@ -28,6 +28,24 @@ impl Query {
         Self::of_vector(text, vector, Some(table)).map(Some)
     }
 
+    /// Some rows of a table, by number; all its other rows are their rivals: what is nearest to one of these.
+    ///
+    /// # Errors
+    /// If none of the rows is in the table.
+    pub fn of_rows(table: &TextTable, text: &str, rows: &[usize]) -> Result<Self, SceneError> {
+        let part = |is_meant: bool| {
+            let mut part = TextTable { names: Vec::new(), dim: table.dim, values: Vec::new() };
+            for row in (0..table.len()).filter(|row| rows.contains(row) == is_meant) {
+                part.names.push(table.names[row].clone());
+                part.values.extend_from_slice(table.row(row).unwrap_or_default());
+            }
+            part
+        };
+        let (meant, rivals) = (part(true), part(false));
+        let meant = TextTable::from_rows(meant.names, meant.values, meant.dim)?;
+        Ok(Self { text: text.to_owned(), meant, rivals })
+    }
+
     /// Any vector; the rows of `rivals` but one of the same name are its rivals.
     ///
     /// # Errors

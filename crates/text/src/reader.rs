@@ -5,8 +5,8 @@
 //! believe it. That is a judgement about words: whether a scene has such a thing is another question.
 //! `docs/text.md` has the figures.
 
-use crate::{PhraseError, PhraseTable, Query, TextEncoder, dot};
-use scenesplat_rooms::vocabulary::VocabularyError;
+use crate::grammar::foreign_class;
+use crate::{PhraseError, PhraseTable, TextEncoder, dot};
 use scenesplat_rooms::{ClassId, ColorName, Vocabulary};
 use std::fmt;
 
@@ -107,45 +107,10 @@ impl fmt::Display for Reading {
     }
 }
 
-/// Why a phrase asks for nothing.
-#[derive(Debug, thiserror::Error)]
-#[non_exhaustive]
-pub enum AskError {
-    /// It has no vector.
-    #[error(transparent)]
-    Phrase(#[from] PhraseError),
-    /// It has no word, or the vocabulary is broken.
-    #[error(transparent)]
-    Vocabulary(#[from] VocabularyError),
-    /// No class is like it.
-    #[error(
-        "nothing in this vocabulary is like {:?}: {reading} (ask for one of these classes by its name to see it \
-         all the same)",
-        reading.text
-    )]
-    NothingAlike {
-        /// What it was compared with.
-        reading: Box<Reading>,
-    },
-}
-
-/// What is asked for, and how it was understood.
-#[derive(Debug, Clone, PartialEq)]
-pub struct Asked {
-    /// What to look for.
-    pub query: Query,
-    /// The text of the vocabulary that it is, where that is not the phrase itself: "red chair".
-    pub taken_for: Option<String>,
-    /// How the phrase was read, if it is no text of the vocabulary.
-    pub reading: Option<Reading>,
-    /// What was changed about it before, in words; may be empty.
-    pub remark: String,
-}
-
 /// Reads phrases.
 #[derive(Debug)]
 pub struct PhraseReader<'a> {
-    table: &'static PhraseTable,
+    pub(crate) table: &'static PhraseTable,
     encoder: Option<&'a TextEncoder>,
     /// Names of classes with their vectors.
     anchors: Vec<(&'static str, ClassId, Vec<f32>)>,
@@ -193,7 +158,8 @@ impl<'a> PhraseReader<'a> {
         Ok(Self { table, encoder, anchors })
     }
 
-    /// What a phrase is taken for. Color words are taken out first, unless the table has them in a phrase ("red wine").
+    /// What a phrase is taken for, all its words taken as names: [`Phrase`](crate::Phrase) says first whether it denies
+    /// them. Color words are taken out first, unless the table has them in a phrase ("red wine").
     ///
     /// # Errors
     /// If it has no word, or none that is known.
@@ -202,14 +168,29 @@ impl<'a> PhraseReader<'a> {
         if colors.is_empty() || rest.is_empty() || self.table.row(text).is_some() {
             (colors, rest) = (Vec::new(), text.to_owned());
         }
+        let mut remarks = Vec::new();
+        // A word that English has too may not be meant as that of another language.
+        let mut is_certain = true;
+        if let Some(class) = foreign_class(&rest) {
+            is_certain = self.table.row(&rest).is_none();
+            remarks.push(format!("took {rest:?} as {:?}", class.about().name));
+            rest = class.about().name.to_owned();
+        }
         let (nearest, remark) = match self.encoder {
             None => {
                 let understood = self.table.understand(&rest)?;
+                // A word that is left out, or was meant as it stands, may be what changes the meaning.
+                is_certain &= understood.unknown.is_empty() && understood.corrected.is_empty();
                 (self.nearest(&understood.row), understood.to_string())
             }
             Some(encoder) => self.encoded(encoder, &rest)?,
         };
-        let verdict = Verdict::of(&nearest);
+        remarks.extend(Some(remark).filter(|remark| !remark.is_empty()));
+        let verdict = match Verdict::of(&nearest) {
+            Verdict::Sure if !is_certain => Verdict::NotSure,
+            verdict => verdict,
+        };
+        let remark = remarks.join("; ");
         Ok(Reading { text: text.to_owned(), colors, nearest, verdict, remark })
     }
 
@@ -261,38 +242,5 @@ impl<'a> PhraseReader<'a> {
         let mut found: Vec<NearClass> = best.into_iter().flatten().collect();
         found.sort_by(|a, b| b.similarity.total_cmp(&a.similarity).then(a.class.cmp(&b.class)));
         found
-    }
-
-    /// What to look for in the features of a network that was trained with this vocabulary: what the vocabulary knows is
-    /// looked for as it is; a misspelt text of the vocabulary as what was meant; anything else as the nearest class.
-    ///
-    /// # Errors
-    /// If the phrase has no known word, or no class is like it.
-    pub fn ask(&self, vocabulary: &Vocabulary, text: &str) -> Result<Asked, AskError> {
-        match Query::of_vocabulary(vocabulary, text) {
-            Ok(query) => {
-                let (taken_for, reading, remark) = (None, None, String::new());
-                return Ok(Asked { query, taken_for, reading, remark });
-            }
-            Err(VocabularyError::UnknownWord { .. }) => {}
-            Err(error) => return Err(error.into()),
-        }
-        let (other, corrected) = self.table.corrected(text);
-        if !corrected.is_empty()
-            && let Ok(query) = Query::of_vocabulary(vocabulary, &other)
-        {
-            let took = |(typed, word): &(String, String)| format!("took {typed:?} as {word:?}");
-            let remark = corrected.iter().map(took).collect::<Vec<_>>().join("; ");
-            let query = Query { text: text.to_owned(), ..query };
-            return Ok(Asked { query, taken_for: Some(other), reading: None, remark });
-        }
-        let reading = self.read(text)?;
-        if reading.verdict == Verdict::NothingAlike {
-            return Err(AskError::NothingAlike { reading: Box::new(reading) });
-        }
-        let known = reading.known_text();
-        let query = Query { text: text.to_owned(), ..Query::of_vocabulary(vocabulary, &known)? };
-        let remark = reading.remark.clone();
-        Ok(Asked { query, taken_for: Some(known), reading: Some(reading), remark })
     }
 }

@@ -2,12 +2,14 @@
 
 use super::Args;
 use super::guess::guessed;
-use crate::error::{WrongUse, refuse};
+use crate::commands::phrase::{ask_error, phrase_error, placed_refused, tell_denied, tell_taken};
+use crate::error::refuse;
 use crate::session::Session;
 use anyhow::Result;
-use scenesplat::phrases::{AskError, PhraseReader, TextEncoder, Verdict};
+use scenesplat::phrases::{Phrase, PhraseReader, TextEncoder};
 use scenesplat::query::Query;
 use scenesplat::rooms::Vocabulary;
+use scenesplat::scene::TextTable;
 use scenesplat::scene::label_set::nearest_names;
 use scenesplat::text::read_text_vector;
 
@@ -34,6 +36,9 @@ pub fn query(args: &Args, session: &Session<'_>) -> Result<Query> {
             refuse!("--text is missing");
         };
         if let Some(query) = Query::of_table(&table, &args.query)? {
+            return Ok(query);
+        }
+        if let Some(query) = of_denial(args, session, &table)? {
             return Ok(query);
         }
         if let Some(folder) = &args.text_model {
@@ -69,29 +74,27 @@ fn of_phrase(args: &Args, session: &Session<'_>, vocabulary: &Vocabulary) -> Res
     let folder = args.text_model.as_deref().filter(|_| !is_known);
     let encoder = folder.map(TextEncoder::open).transpose()?;
     let reader = PhraseReader::new(encoder.as_ref())?;
-    let asked = reader.ask(vocabulary, &args.query).map_err(|error| match error {
-        AskError::Phrase(scenesplat::phrases::PhraseError::File(error)) => {
-            anyhow::Error::from(error)
-        }
-        other => WrongUse(other.to_string()).into(),
-    })?;
+    let asked = reader.ask(vocabulary, &args.query).map_err(ask_error)?;
     if let Some(known) = &asked.taken_for {
-        let how = match &asked.reading {
-            Some(reading) => {
-                let by = if encoder.is_some() { "encoder" } else { "phrase table" };
-                format!("{reading}; by the {by}")
-            }
-            None => asked.remark.clone(),
-        };
-        let text = format!("{:?} is taken for {known:?}: {how}", args.query);
-        session.receipt.setting("taken_for", known, &how);
-        // A corrected word may have been meant as it stands.
-        let is_sure = asked.reading.as_ref().is_some_and(|r| r.verdict == Verdict::Sure);
-        if is_sure {
-            session.progress.say(text);
+        if asked.denied.is_empty() {
+            let by = if encoder.is_some() { "encoder" } else { "phrase table" };
+            tell_taken(session, &args.query, known, (asked.reading.as_ref(), &asked.remark), by);
         } else {
-            session.warn_loudly(text);
+            tell_denied(session, &args.query, known, &asked.denied);
         }
     }
     Ok(asked.query)
+}
+
+/// All rows of a table but those that the phrase denies; `None` for a phrase that denies none.
+fn of_denial(args: &Args, session: &Session<'_>, table: &TextTable) -> Result<Option<Query>> {
+    match Phrase::parse(&args.query, &table.names).map_err(phrase_error)? {
+        Phrase::Plain => Ok(None),
+        Phrase::Placed(placed) => Err(placed_refused(placed).into()),
+        Phrase::Denied(denied) => {
+            let left = denied.labels(&table.names).map_err(phrase_error)?;
+            tell_denied(session, &args.query, &left.reading, &left.denied);
+            Ok(Some(Query::of_rows(table, &args.query, &left.chosen)?))
+        }
+    }
 }

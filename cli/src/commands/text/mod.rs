@@ -7,7 +7,10 @@ use crate::outputs::Outputs;
 use crate::terminal::print;
 use crate::threads::set_threads;
 use anyhow::Result;
-use scenesplat::phrases::{Encoded, PhraseError, PhraseReader, PhraseTable, Reading, TextEncoder};
+use scenesplat::phrases::{
+    Encoded, Phrase, PhraseError, PhraseReader, PhraseTable, Placed, Reading, TextEncoder,
+};
+use scenesplat::rooms::CLASSES;
 use scenesplat::scene::TextTable;
 use scenesplat::scene::label_set::read_names;
 use serde_json::json;
@@ -168,12 +171,16 @@ fn tell(
     };
     let mut all = Vec::with_capacity(phrases.len());
     for phrase in phrases {
-        match reader.read(phrase) {
-            Ok(reading) => {
-                print(&format!("{phrase:?}: {reading}"));
-                all.push(as_json(&reading));
+        match meaning(&reader, phrase) {
+            Ok((text, json)) => {
+                print(&format!("{phrase:?}: {text}"));
+                all.push(json);
             }
-            Err(error @ (PhraseError::Phrase { .. } | PhraseError::Unknown { .. })) => {
+            Err(
+                error @ (PhraseError::Phrase { .. }
+                | PhraseError::Meaning { .. }
+                | PhraseError::Unknown { .. }),
+            ) => {
                 print(&error.to_string());
                 all.push(json!({ "phrase": phrase, "error": error.to_string() }));
             }
@@ -181,6 +188,33 @@ fn tell(
         }
     }
     Ok(all)
+}
+
+/// What a phrase means, in words and for JSON.
+fn meaning(
+    reader: &PhraseReader<'_>,
+    phrase: &str,
+) -> Result<(String, serde_json::Value), PhraseError> {
+    match Phrase::parse(phrase, &[])? {
+        Phrase::Plain => {
+            let reading = reader.read(phrase)?;
+            Ok((reading.to_string(), as_json(&reading)))
+        }
+        Phrase::Denied(denied) => {
+            let classes: Vec<String> = CLASSES.iter().map(|class| class.name.to_owned()).collect();
+            let left = denied.labels(&classes)?;
+            let json =
+                json!({ "phrase": phrase, "taken_for": left.reading, "denied": left.denied });
+            Ok((left.reading, json))
+        }
+        Phrase::Placed(placed) => {
+            let help = if placed.relation.is_some() { "find by it" } else { "do not tell it" };
+            let text = format!("a thing by its place ({placed}); the boxes of `objects` {help}");
+            let Placed { what, relation, to, .. } = placed;
+            let relation = json!({ "what": what, "relation": relation, "to": to });
+            Ok((text, json!({ "phrase": phrase, "relation": relation })))
+        }
+    }
 }
 
 /// A reading for JSON.

@@ -9,8 +9,10 @@ mod words;
 use crate::PhraseError;
 use scenesplat_kernels::normalize::normalize_rows;
 use spelling::KnownWords;
+pub(crate) use spelling::distance;
 use std::sync::OnceLock;
 pub use understand::Understood;
+pub(crate) use words::bases;
 pub use words::normalized;
 
 /// The phrases of the table inside the library, one a line, sorted by bytes, as [`normalized`] gives them.

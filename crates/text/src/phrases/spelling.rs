@@ -86,7 +86,7 @@ impl KnownWords {
 }
 
 /// Letters to change, add, drop or swap with their neighbor.
-fn distance(a: &[char], b: &[char]) -> usize {
+pub(crate) fn distance(a: &[char], b: &[char]) -> usize {
     let mut before = vec![0; b.len() + 1];
     let mut last: Vec<usize> = (0..=b.len()).collect();
     for i in 1..=a.len() {

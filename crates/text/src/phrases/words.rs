@@ -95,7 +95,7 @@ pub(super) fn is_preposition(word: &str) -> bool {
 }
 
 /// What a word may be a form of, without itself: a plural, or a verb in -ing or -ed.
-pub(super) fn bases(word: &str) -> impl Iterator<Item = String> + '_ {
+pub(crate) fn bases(word: &str) -> impl Iterator<Item = String> + '_ {
     let irregular = IRREGULAR.iter().filter(move |(form, _)| *form == word).map(|(_, base)| *base);
     let endings = [("s", ""), ("es", ""), ("ies", "y"), ("ves", "f"), ("ves", "fe")];
     let regular = endings.into_iter().filter_map(move |(end, base)| {

@@ -1,4 +1,5 @@
-//! The sentence encoder.
+//! The sentence encoder, and the meaning of phrases.
 #![allow(clippy::unwrap_used, clippy::panic, reason = "a test may fail loudly")]
 
 mod encoder;
+mod meaning;
