@@ -56,3 +56,55 @@ pub(crate) fn add_noise(model: &mut Model, strength: f32, seed: u64, step: u64) 
         }
     });
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::Stored;
+
+    /// sigmoid(x)
+    fn sigmoid(x: f64) -> f64 {
+        1.0 / (1.0 + (-x).exp())
+    }
+
+    #[test]
+    fn a_center_moves_along_the_squared_shape_behind_an_open_gate() {
+        // By hand: a quarter turn about z brings the first axis (2) to y and the second (0.5) to −x.
+        let half = std::f32::consts::FRAC_1_SQRT_2;
+        let quat = [half, 0.0, 0.0, half];
+        for opacity in [0.0f32, 0.005, 0.05] {
+            let by = displacement(quat, [2.0, 0.5, 1.0], opacity, [1.0, 1.0, -1.0], 3.0);
+            let gate = sigmoid(-100.0 * (f64::from(opacity) - 0.005));
+            for (by, along) in by.into_iter().zip([0.25, 4.0, -1.0]) {
+                let due = 3.0 * gate * along;
+                assert!((f64::from(by) - due).abs() < 1e-5 * due.abs(), "{opacity}: {by}, {due}");
+            }
+        }
+        assert_eq!(displacement([0.0; 4], [1.0; 3], 0.0, [1.0; 3], 1.0), [0.0; 3]);
+    }
+
+    #[test]
+    fn every_gaussian_has_its_own_noise_and_opaque_ones_stay() {
+        let n = 2 * CHUNK + 3;
+        let row = |i: usize| Stored {
+            mean: [0.0; 3],
+            log_scale: [0.0; 3],
+            quat: [1.0, 0.0, 0.0, 0.0],
+            // The fourth row is opaque.
+            logit: if i == 3 { 5.0 } else { -9.0 },
+        };
+        let rows: Vec<Stored> = (0..n).map(row).collect();
+        let mut model = Model::from_arrays(&rows, vec![0.0; 3 * n], 0).unwrap();
+        add_noise(&mut model, 1.0, 7, 11);
+        let means = &model.gaussians.means;
+        assert_eq!(means[3], [0.0; 3]);
+        let mut seen: Vec<[u32; 3]> = means.iter().map(|m| m.map(f32::to_bits)).collect();
+        seen.sort_unstable();
+        seen.dedup();
+        assert_eq!(seen.len(), n);
+        let spread = means.iter().flatten().map(|v| f64::from(v * v)).sum::<f64>();
+        let gate = sigmoid(-100.0 * (sigmoid(-9.0) - 0.005));
+        let spread = (spread / (3 * n) as f64).sqrt() / gate;
+        assert!((spread - 1.0).abs() < 0.02, "standard deviation {spread}");
+    }
+}

@@ -103,4 +103,21 @@ mod tests {
             }
         }
     }
+
+    #[test]
+    fn versions_differ_where_the_new_opacity_is_dead() {
+        // By hand: of two that are 0.004 together each has 1 − √0.996 = 0.002002, which is clamped to 0.005.
+        // thickness(o, 2) = 2 o − o²/√2.
+        let split = 1.0 - 0.996f64.sqrt();
+        let of = |o: f64| 0.004 / (2.0 * o - o * o / 2.0f64.sqrt());
+        for (version, due) in [(Relocation::Gsplat15, of(split)), (Relocation::Gsplat16, of(0.005))]
+        {
+            let (opacity, scale) = relocated(0.004, [1.0, 2.0, 3.0], 2, version);
+            assert!((opacity - 0.005).abs() < 1e-9, "{version:?}: {opacity}");
+            for (found, k) in scale.into_iter().zip([1.0, 2.0, 3.0]) {
+                let wanted = due * k;
+                assert!((f64::from(found) - wanted).abs() < 1e-5, "{version:?}: {found}, {wanted}");
+            }
+        }
+    }
 }

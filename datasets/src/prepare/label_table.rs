@@ -252,12 +252,22 @@ mod tests {
         let csv = dir.path().join("map_benchmark.csv");
         std::fs::write(
             &csv,
-            "class,count,semantic_map_to\n\"table, small\",3,table\noffice chair,9,nothing\n",
+            "class,count,semantic_map_to\n\"table, small\",3,table\noffice chair,9,chair\nbed,1,nothing\n",
         )
         .unwrap();
         let tables = LabelTables { table: Some(&csv), classes: None };
         let found = tables.of(ScanLayout::ScannetPp).unwrap().remove(0);
-        assert_eq!(found.class_of("table, small"), found.class_of("table"));
-        assert!(found.class_of("table") >= 0 && found.class_of("no such thing") == -1);
+        // Of ScanNet++'s 100, table is the fourth and chair the tenth; "office chair", the twelfth, is counted as a
+        // chair; "bed", the 26th, is renamed to what is no class, and stays.
+        let names = ["table, small", "table", "chair", "office chair", "bed", "no such thing"];
+        assert_eq!(names.map(|n| found.class_of(n)), [3, 3, 9, 9, 25, -1]);
+        // Hypersim's numbers are NYU40's, from 1: the names stand one place before.
+        let tables = LabelTables::default().of(ScanLayout::Hypersim).unwrap();
+        let of = |i: usize| {
+            ["wall", "floor", "cabinet", "bed", "chair", "desk", "ceiling"]
+                .map(|n| tables[i].class_of(n))
+        };
+        assert_eq!((tables[0].stem.as_str(), of(0)), ("segment", [0, 1, 2, 3, 4, 13, 21]));
+        assert_eq!((tables[1].stem.as_str(), of(1)), ("segment20", [0, 1, 2, 3, 4, 12, -1]));
     }
 }

@@ -257,6 +257,47 @@ fn the_teacher_is_a_copy_that_follows_after_the_step() {
 }
 
 #[test]
+fn a_teacher_begins_with_the_statistics_of_a_trained_student() {
+    let params = ParamStore::trainable(3);
+    model(true).build(params.builder()).unwrap();
+    for (name, var) in params.buffers() {
+        let by = if name.ends_with("running_mean") { 0.25 } else { 0.5 };
+        var.set(&(var.as_detached_tensor() + by).unwrap()).unwrap();
+    }
+    let trained = values(&params);
+    let (config, input) = (settings(vec![simdino()]), InputFeatures::default());
+    let module = SelfSupervised::new(&config, &model(true), &input, params, 3).unwrap();
+    let teacher = module.teacher().unwrap();
+    let own = values(teacher);
+    assert!(teacher.buffers().len() > 4);
+    for name in teacher.buffers().keys() {
+        assert_eq!(own[name], trained[name], "{name}");
+    }
+}
+
+#[test]
+fn the_teacher_drops_no_path() {
+    // Its batch statistics after a step are of its own activations, which no path of the student changes.
+    let statistics = |drop_path: f64, compat: Compat| {
+        let mut network = model(true);
+        if let BackboneConfig::PointTransformerV3(config) = &mut network.backbone {
+            config.drop_path = drop_path;
+        }
+        let config = SelfSupervisedConfig { compat, ..settings(vec![simdino()]) };
+        let module = module(&config, &network);
+        one_step(&module, first_batch());
+        let teacher = module.teacher().unwrap();
+        let all = values(teacher);
+        teacher.buffers().keys().map(|name| all[name].clone()).collect::<Vec<_>>()
+    };
+    let whole = statistics(0.0, Compat::None);
+    assert!(whole.iter().flatten().any(|v| *v != 0.0 && *v != 1.0));
+    assert_eq!(statistics(0.6, Compat::None), whole);
+    // The original's does.
+    assert_ne!(statistics(0.6, Compat::Original), statistics(0.0, Compat::Original));
+}
+
+#[test]
 fn momentum_goes_by_the_step() {
     let momentum = CosineSchedule::new(0.5, 1.0);
     let config = SelfSupervisedConfig { momentum, masking: None, ..settings(vec![simdino()]) };

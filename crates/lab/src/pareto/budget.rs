@@ -312,6 +312,20 @@ mod tests {
     }
 
     #[test]
+    fn the_reserve_is_for_what_is_still_to_do() {
+        // 1.24 s of work after 1.5 s that have passed: 1.5 + 1.1 · 1.24 = 2.86 s, not 1.1 · 2.74 = 3.01.
+        let after = |seconds| {
+            let ask = Ask { seconds: Some(seconds), ..Ask::default() };
+            let choice = calibration().choose("segment", &ask, &mut size, 1.0, 1.5).unwrap();
+            (choice.setting, choice.seconds)
+        };
+        let (setting, seconds) = after(2.95);
+        assert_eq!(setting, "voxel=0.06,k=25");
+        assert!((seconds - 2.74).abs() < 0.01, "{seconds}");
+        assert_eq!(after(2.8).0, "voxel=0.24,k=1");
+    }
+
+    #[test]
     fn a_front_returns_from_its_file() {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("front.json");

@@ -251,4 +251,84 @@ mod tests {
         assert!(done.reset && model.gaussians.opacities.iter().all(|o| *o <= 0.010_001));
         assert!(!settings.refine(&mut state, (&mut model, &mut adam), 1.0, 1, 15_000).is_any());
     }
+
+    fn row(scale: [f32; 3], opacity: f32) -> Stored {
+        let quat = [1.0, 0.0, 0.0, 0.0];
+        Stored { mean: [0.0; 3], log_scale: scale.map(f32::ln), quat, logit: logit(opacity) }
+    }
+
+    fn built(rows: &[Stored]) -> (Model, Adam) {
+        let model = Model::from_arrays(rows, vec![0.0; 3 * rows.len()], 0).unwrap();
+        let adam = Adam::new(&model, AdamSettings::default());
+        (model, adam)
+    }
+
+    #[test]
+    fn gradients_are_in_half_pictures_and_are_summed_per_picture() {
+        let mut state = DoublingState::default();
+        // (0.003 · 20, 0.004 · 5) has the length √(0.06² + 0.02²); the row that is not seen gets nothing.
+        let screen = [[0.003, 0.004], [1.0, 1.0]];
+        state.add(&screen, &[0], [40, 10]);
+        state.add(&screen, &[0], [40, 10]);
+        let length = (0.06f64.powi(2) + 0.02f64.powi(2)).sqrt();
+        assert!((f64::from(state.sum[0]) - 2.0 * length).abs() < 1e-7, "{:?}", state.sum);
+        assert_eq!((state.sum[1], &state.count), (0.0, &vec![2.0, 0.0]));
+    }
+
+    #[test]
+    fn what_was_summed_counts_for_one_refinement() {
+        let (mut model, mut adam) = built(&[row([0.005; 3], 0.5)]);
+        let mut state = DoublingState { sum: vec![1.0], count: vec![1.0] };
+        let settings = DefaultSettings::default();
+        let refine = |state: &mut DoublingState, model: &mut Model, adam: &mut Adam, step| {
+            settings.refine(state, (model, adam), 1.0, 1, step).added
+        };
+        assert_eq!(refine(&mut state, &mut model, &mut adam, 600), 1);
+        assert_eq!((&state.sum, &state.count), (&vec![0.0; 2], &vec![0.0; 2]));
+        assert_eq!(refine(&mut state, &mut model, &mut adam, 700), 0);
+    }
+
+    #[test]
+    fn halves_lie_apart_along_the_long_axis() {
+        let (mut model, mut adam) = built(&[row([1e-6, 0.5, 1e-6], 0.5)]);
+        let mut state = DoublingState { sum: vec![1.0], count: vec![1.0] };
+        let settings = DefaultSettings::default();
+        settings.refine(&mut state, (&mut model, &mut adam), 1.0, 1, 600);
+        let [a, b] = [model.gaussians.means[0], model.gaussians.means[1]];
+        assert_eq!(model.len(), 2);
+        assert!((a[1] - b[1]).abs() > 1e-3, "{a:?} {b:?}");
+        for k in [0, 2] {
+            assert!(a[k].abs() < 1e-5 && b[k].abs() < 1e-5, "{a:?} {b:?}");
+        }
+    }
+
+    #[test]
+    fn the_longest_axis_decides_who_is_huge_and_only_after_a_reset() {
+        let rows = [row([0.001, 0.2, 0.001], 0.5), row([0.09; 3], 0.5)];
+        for (step, left) in [(2900, 2), (3100, 1)] {
+            let (mut model, mut adam) = built(&rows);
+            let mut state = DoublingState::default();
+            let settings = DefaultSettings::default();
+            settings.refine(&mut state, (&mut model, &mut adam), 1.0, 1, step);
+            assert_eq!(model.len(), left, "{step}");
+            assert!((model.gaussians.scales[left - 1][0] - 0.09).abs() < 1e-6);
+        }
+    }
+
+    #[test]
+    fn opacities_that_are_set_back_start_without_moments() {
+        let (mut model, mut adam) = built(&[row([0.05; 3], 0.9), row([0.05; 3], 0.008)]);
+        for moments in [&mut adam.opacities, &mut adam.means] {
+            moments.first.fill(1.0);
+            moments.second.fill(1.0);
+        }
+        let mut state = DoublingState::default();
+        let settings = DefaultSettings::default();
+        assert!(settings.refine(&mut state, (&mut model, &mut adam), 1.0, 1, 3000).reset);
+        // Twice the opacity at which Gaussians are removed, at most.
+        let near = |i: usize, due: f32| (model.gaussians.opacities[i] - due).abs() < 1e-6;
+        assert!(near(0, 0.01) && near(1, 0.008), "{:?}", model.gaussians.opacities);
+        assert_eq!((&adam.opacities.first, &adam.opacities.second), (&vec![0.0; 2], &vec![0.0; 2]));
+        assert!(adam.means.first.iter().all(|m| *m == 1.0));
+    }
 }
