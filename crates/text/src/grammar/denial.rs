@@ -148,7 +148,7 @@ fn length(words: &[String]) -> Option<usize> {
     listed.or_else(|| {
         let letters: Vec<char> = words.first()?.chars().take(20).collect();
         let near = |word: &&str| distance(&letters, &word.chars().collect::<Vec<_>>()) == 1;
-        MISSPELLED.iter().any(|word| near(&word)).then_some(1)
+        MISSPELLED.iter().any(near).then_some(1)
     })
 }
 

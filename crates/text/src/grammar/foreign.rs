@@ -149,7 +149,7 @@ pub(super) fn class_of(words: &[String]) -> Option<ClassId> {
     let named = |words: &[String]| {
         let text = words.join(" ");
         let is = |name: &&str| *name == text || plain(name) == text || spelled_out(name) == text;
-        NAMES.iter().find(|(_, names)| names.iter().any(|name| is(name))).map(|(class, _)| *class)
+        NAMES.iter().find(|(_, names)| names.iter().any(&is)).map(|(class, _)| *class)
     };
     let first = words.iter().position(|word| !ARTICLES.contains(&word.as_str()))?;
     named(&words[first..])
