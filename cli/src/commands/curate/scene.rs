@@ -26,11 +26,8 @@ impl Args {
         let scene = &opened.loaded.scene;
         let model = Model::from_scene(scene, scene.sh_degree)?;
         let base = OptimiseSettings::scenesplat();
-        let settings = OptimiseSettings {
-            antialiased: self.antialiased.unwrap_or(scene.antialiased),
-            far: 1e10,
-            ..base
-        };
+        let antialiased = self.antialiased.unwrap_or(scene.antialiased);
+        let settings = OptimiseSettings { antialiased, far: 1e10, ..base };
         let lpips = self.lpips_weights.as_ref().map(|path| Lpips::load(path));
         let lpips = lpips.transpose().context("LPIPS: the weights cannot be used")?;
         let (mut scores, mut distances) = (Vec::new(), Vec::new());

@@ -67,20 +67,8 @@ pub fn read_inria_ply(file: &PlyFile, options: &ReadOptions) -> Result<LoadedSce
     if reader.has_all(&SCALE) {
         pass.add(&SCALE, scene.log_scale.as_flattened_mut())?;
     }
-    if reader.group(&ROT)? {
-        reader.fill(&mut pass, &ROT, &mut scene.quat)?;
-    } else {
-        reader.missing(Rule::QuatMissing);
-        scene.quat = zeroed(rows, path)?;
-        scene.quat.fill([1.0, 0.0, 0.0, 0.0]);
-    }
-    scene.opacity_logit = zeroed(rows, path)?;
-    if vertex.has("opacity") {
-        pass.add(&["opacity"], &mut scene.opacity_logit)?;
-    } else {
-        reader.missing(Rule::OpacityMissing);
-        scene.opacity_logit.fill(f32::INFINITY);
-    }
+    reader.fill_rotations(&mut pass, &mut scene.quat)?;
+    reader.fill_opacities(&mut pass, &mut scene.opacity_logit)?;
     if reader.group(&DC)? {
         reader.fill(&mut pass, &DC, &mut scene.sh_dc)?;
     } else {
@@ -124,6 +112,34 @@ impl Reader<'_> {
     ) -> Result<(), SceneError> {
         *into = zeroed(self.vertex.count, self.file.path())?;
         pass.add(names, into.as_flattened_mut())
+    }
+
+    fn fill_rotations<'p>(
+        &mut self,
+        pass: &mut Gather<'p>,
+        into: &'p mut Vec<[f32; 4]>,
+    ) -> Result<(), SceneError> {
+        if self.group(&ROT)? {
+            return self.fill(pass, &ROT, into);
+        }
+        self.missing(Rule::QuatMissing);
+        *into = zeroed(self.vertex.count, self.file.path())?;
+        into.fill([1.0, 0.0, 0.0, 0.0]);
+        Ok(())
+    }
+
+    fn fill_opacities<'p>(
+        &mut self,
+        pass: &mut Gather<'p>,
+        into: &'p mut Vec<f32>,
+    ) -> Result<(), SceneError> {
+        *into = zeroed(self.vertex.count, self.file.path())?;
+        if self.vertex.has("opacity") {
+            return pass.add(&["opacity"], into);
+        }
+        self.missing(Rule::OpacityMissing);
+        into.fill(f32::INFINITY);
+        Ok(())
     }
 
     /// Has `pass` fill the higher harmonics, if they are wanted; returns their degree.

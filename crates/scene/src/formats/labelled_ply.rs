@@ -2,7 +2,7 @@
 
 use super::color_columns::{color_names, read_colors};
 use super::label_column::{INSTANCE_RULES, SEGMENT_RULES, columns, read_labels};
-use super::ply::PlyFile;
+use super::ply::{PlyElement, PlyFile};
 use crate::extra_columns::{UnreadColumn, label_names};
 use crate::gaussian_scene::retain_flagged;
 use crate::place::{NO_ORIGIN, less, origin_note, plus};
@@ -104,21 +104,29 @@ pub fn read_labelled_ply(
         let ids = read_labels(&file, VERTEX, name, INSTANCE_RULES, &mut report)?;
         cloud.instance = Some(ids);
     }
-    let colors = color_names(vertex).unwrap_or_default();
-    let positions = ["x", "y", "z", "nx", "ny", "nz"];
-    let instances = INSTANCE_NAMES.into_iter().find(|name| vertex.has(name));
-    let is_read = |name: &str| {
-        positions.contains(&name)
-            || colors.contains(&name)
-            || [Some(label), instances].contains(&Some(name))
-    };
-    cloud.unread = file.unknown(vertex, is_read, &["face"], false)?.1;
+    cloud.unread = unread(&file, vertex, label)?;
     cloud.kept_rows = drop_unusable(&mut cloud, &mut report);
     report.enforce(policy, path)?;
     if cloud.coord.is_empty() {
         return Err(SceneError::format(path, "has no point with a position", ""));
     }
     Ok((cloud, report))
+}
+
+/// What the points have besides; the faces of a mesh go without saying.
+fn unread(
+    file: &PlyFile,
+    vertex: &PlyElement,
+    label: &str,
+) -> Result<Vec<UnreadColumn>, SceneError> {
+    let colors = color_names(vertex).unwrap_or_default();
+    let instances = INSTANCE_NAMES.into_iter().find(|name| vertex.has(name));
+    let is_read = |name: &str| {
+        ["x", "y", "z", "nx", "ny", "nz"].contains(&name)
+            || colors.contains(&name)
+            || [Some(label), instances].contains(&Some(name))
+    };
+    Ok(file.unknown(vertex, is_read, &["face"], false)?.1)
 }
 
 /// Which points have a finite position; `None` if all have. Those without are reported.

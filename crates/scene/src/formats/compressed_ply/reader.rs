@@ -11,7 +11,7 @@ use crate::formats::ply::{ByteRows, PlyElement, PlyFile};
 use crate::formats::scene_blocks::{SceneBlock, fill_scene};
 use crate::formats::{LoadedScene, ReadOptions, SceneFormat, semantics};
 use crate::value_policy::Rule;
-use crate::{RepairReport, SceneError};
+use crate::{ExtraColumn, RepairReport, SceneError, UnreadColumn};
 use rayon::prelude::*;
 
 /// Whether the vertices are packed.
@@ -81,9 +81,7 @@ pub fn read_compressed_ply(
     scene.instance = instance;
     let remarks = file.remarks(&mut report);
     scene.antialiased = remarks.antialiased.unwrap_or(false);
-    let labels = segment_name(vertex, options.segment.as_deref());
-    let is_read = |name: &str| PACKED.contains(&name) || Some(name) == labels || name == "instance";
-    let (extra, unread) = file.unknown(vertex, is_read, &[CHUNK, SH], options.extra)?;
+    let (extra, unread) = unknown(file, vertex, options)?;
     scene.extra = extra;
     if let Some(bytes) = file.file_bytes() {
         let (path, policy) = (file.path(), options.policy);
@@ -92,6 +90,17 @@ pub fn read_compressed_ply(
     let (policy, kind) = (options.policy, SceneFormat::CompressedPly);
     let loaded = LoadedScene::finish(scene, report, policy, file.path(), kind)?;
     Ok(LoadedScene { unread, ..loaded.with_remarks(&remarks) })
+}
+
+/// Columns beside the packed ones, kept or named.
+fn unknown(
+    file: &PlyFile,
+    vertex: &PlyElement,
+    options: &ReadOptions,
+) -> Result<(Vec<ExtraColumn>, Vec<UnreadColumn>), SceneError> {
+    let labels = segment_name(vertex, options.segment.as_deref());
+    let is_read = |name: &str| PACKED.contains(&name) || Some(name) == labels || name == "instance";
+    file.unknown(vertex, is_read, &[CHUNK, SH], options.extra)
 }
 
 fn bad(file: &PlyFile, problem: impl Into<String>) -> SceneError {
