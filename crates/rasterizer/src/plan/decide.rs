@@ -232,11 +232,8 @@ fn background(settings: &RasterSettings, request: &PlanRequest) -> (Option<[f32;
 }
 
 fn antialiasing(settings: &RasterSettings) -> Decision {
-    let (verdict, evidence) = match settings.antialiased {
-        true => ("on", "as the scene was trained, by its file or the request"),
-        false => ("off", "neither the scene's file nor the request says that it was trained so"),
-    };
-    Decision::exact("antialiasing", verdict, evidence)
+    let verdict = if settings.antialiased { "on" } else { "off" };
+    Decision::exact("antialiasing", verdict, "as the scene's file or the request says")
 }
 
 fn depth(request: &PlanRequest) -> Decision {

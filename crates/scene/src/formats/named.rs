@@ -75,10 +75,10 @@ pub(super) fn file(path: &Path, bytes: &[u8]) -> Named {
         [b'p', b'l', b'y', ..] => {
             named("begins like a PLY file, but its first line is not `ply`", supported())
         }
-        [0x1f, 0x8b, ..] => packed(path, "gzip", head_of(GzDecoder::new(bytes))),
+        [0x1f, 0x8b, ..] => packed(path, "gzip", &head_of(GzDecoder::new(bytes))),
         [0x28, 0xb5, 0x2f, 0xfd, ..] => {
             let head = zstd::stream::read::Decoder::with_buffer(bytes).map(head_of);
-            packed(path, "zstd", head.unwrap_or_default())
+            packed(path, "zstd", &head.unwrap_or_default())
         }
         [b'P', b'K', 3 | 5, ..] => archive(bytes),
         [0x93, b'N', b'U', b'M', b'P', b'Y', ..] => {
@@ -144,8 +144,8 @@ fn is_tar(bytes: &[u8]) -> bool {
 }
 
 /// A compressed file that is no `.spz`, by the beginning of what is in it.
-fn packed(path: &Path, method: &str, head: Vec<u8>) -> Named {
-    let content = match head.as_slice() {
+fn packed(path: &Path, method: &str, head: &[u8]) -> Named {
+    let content = match head {
         head if super::ply::is_ply(head) => "PLY file",
         head if is_tar(head) => "tar archive",
         head if head.starts_with(b"PK") => "zip archive",
