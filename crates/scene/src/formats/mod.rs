@@ -4,6 +4,7 @@
 
 pub mod cameras;
 pub mod compressed_ply;
+pub mod depth_map;
 pub(crate) mod files;
 pub mod gltf;
 pub mod inria_ply;
