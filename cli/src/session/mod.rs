@@ -22,6 +22,7 @@ use scenesplat::inference::EncodeError;
 use scenesplat::kernels::simd::Isa;
 use scenesplat::network::{NetworkChoice, Weights};
 use scenesplat::outputs::OpenedScene;
+use scenesplat::scene::frame_files::FoundFiles;
 use std::cell::RefCell;
 use std::path::PathBuf;
 
@@ -105,6 +106,17 @@ impl<'a> Session<'a> {
         let text = text.into();
         self.progress.say(&text);
         self.receipt.warning(text);
+    }
+
+    /// Says how many cameras have a file of some kind and how many have none; if any, that is a warning.
+    pub fn tell_found(&self, what: &str, found: &FoundFiles) {
+        let text = found.text(what);
+        self.receipt.setting(&format!("found/{what}"), found.num_found(), &text);
+        if found.missing.is_empty() {
+            self.progress.say(text);
+        } else {
+            self.warn(text);
+        }
     }
 
     /// As [`warn`](Self::warn), between asterisks.

@@ -178,8 +178,20 @@ fn masks_of_8_and_16_bits_are_the_same_segments() {
     done(&world.collect("c", "--segments @eight --no-segment 200"));
     has(&world.receipt("c"), &["6 pictures have a single segment"]);
     std::fs::remove_file(world.0.path("eight/003.png")).unwrap();
-    let missing = ["frame 003", "003.png", "is missing"];
+    let missing =
+        ["5 of 6 cameras have a map of segments; missing: 1 (003.png)", "003.png", "is missing"];
     refused(&world.collect("d", "--segments @eight"), 1, &missing);
+    // As COLMAP names masks, in folders that the cameras do not name.
+    for i in 0..COUNT {
+        let map = bytes(world.0.path(&format!("sixteen/{i:03}.png")));
+        world.0.write(&format!("colmap/lens{}/{i:03}.png.png", i % 2), map);
+    }
+    let said = told(&world.collect("e", "--segments @colmap"));
+    has(
+        &said,
+        &["6 of 6 cameras have a photo; missing: 0", "6 of 6 cameras have a map of segments"],
+    );
+    assert_eq!(world.bits("e"), world.bits("a"));
     std::fs::create_dir(world.0.path("empty")).unwrap();
     refused(&world.collect("d", "--segments @empty"), 1, &["empty", "holds no .png"]);
 }
@@ -213,7 +225,7 @@ fn what_does_not_fit_is_refused_by_name() {
     refused(&world.collect("out", ""), 1, &["001.png", "is 80×50", "is 80×60"]);
     std::fs::remove_file(world.0.path("photos/001.png")).unwrap();
     let said = told(&world.collect("out", ""));
-    has(&said, &["1 of 6 cameras have no photo (001.png"]);
+    has(&said, &["5 of 6 cameras have a photo; missing: 1 (001.png)"]);
     with_number(&world, "\"position\"", "1e999");
     refused(&world.collect("out", ""), 1, &["cameras.json"]);
 }

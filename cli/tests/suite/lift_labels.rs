@@ -92,7 +92,7 @@ fn labels_reach_their_gaussians() {
     // Nothing hides anything: depth agreement stays off.
     let parts = ["alpha-weighted", "disagreement[0]", "auto: off"];
     has(&world.receipt(), &parts);
-    has(&world.receipt(), &["1 cameras have no segments (lonely.png"]);
+    has(&world.receipt(), &["2 of 3 cameras have a map of segments; missing: 1 (lonely.png"]);
     assert!(world.0.path("out/preview.png").is_file());
 
     // The other rule, all guards and a tiny memory still give the same here.
@@ -167,7 +167,39 @@ fn pictures_of_ids_with_one_table() {
     done(&world.lift(&by_depth));
     assert_eq!(world.values("valid_feat_mask.npy"), [1.0, 0.0, 0.0]);
     write_npy(&depth, &[2, W], &metres[..2 * W]).unwrap();
-    has(&stderr(&world.lift(&by_depth)), &["b.npy", "[48, 64]"]);
+    has(&stderr(&world.lift(&by_depth)), &["b.npy", "is 64 × 2, its picture 64 × 48"]);
+    // The same as render writes it, of half the size, for the name that COLMAP gives masks.
+    std::fs::remove_file(depth).unwrap();
+    let half = |i: usize| (500.0 * metres[(i / (W / 2)) * 2 * W + i % (W / 2) * 2]) as u16;
+    let steps = Samples::Sixteen((0..W * H / 4).map(half).collect());
+    let picture = Picture::new(w, h, Channels::Gray, steps).unwrap();
+    world.0.write("depth/b.png.png", picture.encode_png().unwrap());
+    let said = told(&world.lift(&format!("{by_depth} --depth-scale 500")));
+    has(&said, &["1 of 1 cameras have a depth; missing: 0"]);
+    assert_eq!(world.values("valid_feat_mask.npy"), [1.0, 0.0, 0.0]);
+    std::fs::remove_file(world.0.path("depth/b.png.png")).unwrap();
+    refused(&world.lift(&by_depth), 1, &["--depth", "holds the depth of none of the 1 cameras"]);
+}
+
+/// Lenses of a rig number their frames alike; their maps are in folders.
+#[test]
+fn frames_of_a_rig_are_found_in_their_folders() {
+    let world = World::new();
+    world.0.cameras("cameras.json", &[at("rig/left/a.jpg", 0.0), at("rig/right/a.jpg", 0.1)]);
+    // Flat, nobody knows whose it is.
+    refused(&world.lift(""), 1, &["a belongs to two cameras", "rig/left/a.jpg", "rig/right/a.jpg"]);
+    for lens in ["left", "right"] {
+        for name in ["a_s.npy", "a_f.npy"] {
+            world.0.write(
+                &format!("rigged/{lens}/{name}"),
+                bytes(world.0.path("segments").join(name)),
+            );
+        }
+    }
+    std::fs::remove_dir_all(world.0.path("segments")).unwrap();
+    std::fs::rename(world.0.path("rigged"), world.0.path("segments")).unwrap();
+    has(&told(&world.lift("")), &["2 of 2 cameras have a map of segments; missing: 0"]);
+    assert_eq!(world.values("views.npy"), [2.0, 2.0, 0.0]);
 }
 
 #[test]

@@ -1,9 +1,10 @@
 //! `optimise` and `curate`: from pictures to a scene and what it is worth, and what captures may be like.
 
 use crate::support::*;
+use scenesplat::preview::LookAt;
 use scenesplat::scene::formats::npy_writer::write_npy;
-use scenesplat::scene::picture::{Channels, Picture, RgbPicture, Samples};
-use scenesplat::scene::{Camera, open_cameras};
+use scenesplat::scene::picture::{Channels, Picture, RgbPicture, Samples, read_picture};
+use scenesplat::scene::{Camera, Up, open_cameras};
 use std::process::Output;
 
 /// Pictures and depths of a small room, by `render`, in the folder `shots`.
@@ -149,6 +150,135 @@ fn shots(folder: &Folder, name: &str, count: u32, step: f64, grow: [u32; 2], col
     folder.cameras(&format!("{name}.json"), &cameras)
 }
 
+/// Lenses of a rig number their pictures alike; masks and depths of other sizes are taken by nearest pixel.
+#[test]
+fn files_of_a_rig_are_told_apart_and_counted() {
+    let folder = Folder::new();
+    let at = folder.at("");
+    let mut cameras = Vec::new();
+    for (k, lens) in ["left", "right"].into_iter().enumerate() {
+        for i in 0..3u8 {
+            let value = 60 + 120 * k as u8 + i;
+            let png = RgbPicture::filled(40, 30, [value; 3]).encode_png().unwrap();
+            folder.write(&format!("photos/{lens}/{i}.png"), png);
+            let mask = RgbPicture::from_fn(20, 15, |x, _| [if x < 10 { 255 } else { 0 }; 3]);
+            folder.write(&format!("masks/{lens}/{i}.jpg.png"), mask.encode_png().unwrap());
+            let depth = Samples::Sixteen(vec![800 + 400 * k as u16; 80]);
+            let depth = Picture::new(10, 8, Channels::Gray, depth).unwrap();
+            folder.write(&format!("depth/{lens}/{i}.png"), depth.encode_png().unwrap());
+            let shift = 0.1 * f64::from(i) + k as f64;
+            cameras.push(camera(&format!("./images/{lens}/{i}.jpg"), [40, 30], [shift, 0.0, 0.0]));
+        }
+    }
+    std::fs::remove_file(folder.path("masks/right/2.jpg.png")).unwrap();
+    let list = folder.cameras("rig.json", &cameras);
+    let optimise = |more: &str| {
+        let words = "--initial 100 --cap 100 --steps 6 --test-every 2 --preview-every 0";
+        run!(
+            "optimise --cameras {list} --images {at}photos --depth {at}depth {words} --out {at}out {more}"
+        )
+    };
+    let said = told(&optimise(&format!("--masks {at}masks --depth-scale 400")));
+    has(
+        &said,
+        &[
+            "6 of 6 cameras have a picture; missing: 0",
+            "6 of 6 cameras have a depth; missing: 0",
+            "5 of 6 cameras have a mask; missing: 1 (./images/right/2.jpg)",
+        ],
+    );
+    // Frames 0, 2 and 4: the last is the right lens's picture 1, whose name has another number.
+    let mut pictures: Vec<_> = std::fs::read_dir(folder.path("out/test"))
+        .unwrap()
+        .flatten()
+        .map(|entry| entry.file_name().into_string().unwrap())
+        .collect();
+    pictures.sort_unstable();
+    assert_eq!(pictures, ["0.png", "1_00004.png", "2.png"]);
+    let figures = json(folder.path("out/optimise.json"));
+    assert!(
+        figures["test_psnr"].is_number() && figures["test_psnr_masked"].is_number(),
+        "{figures}"
+    );
+    assert_ne!(figures["test_psnr"], figures["test_psnr_masked"]);
+    // Curate keeps the cameras of the frames that it keeps.
+    let curated = format!(
+        "curate --cameras {list} --images {at}photos/left --out {at}kept --blur-share 0.001"
+    );
+    let said = told(&line(&curated));
+    has(&said, &["3 of 6 cameras have a picture; missing: 3 (./images/right/0.jpg, …)"]);
+    for camera in &open_cameras(&folder.path("kept/cameras.json")).unwrap().cameras {
+        assert!(camera.name.starts_with("./images/left/"), "{}", camera.name);
+    }
+    // Another shape, and a folder of other things.
+    let square = Picture::new(8, 8, Channels::Gray, Samples::Sixteen(vec![9; 64])).unwrap();
+    folder.write("depth/left/1.png", square.encode_png().unwrap());
+    refused(&optimise(""), 1, &["1.png", "is 8 × 8, its picture 40 × 30", "shape"]);
+    refused(
+        &optimise(&format!("--masks {at}kept")),
+        1,
+        &["kept has no mask of any of the 6 cameras"],
+    );
+}
+
+/// An object on a transparent background, without points: the default preset learns it, and nothing else.
+#[test]
+fn an_object_is_learned_from_random_points() {
+    let folder = Folder::new();
+    let at = folder.at("");
+    let scale = 30.0f32;
+    let grid = |i: usize| [i % 4, i / 4 % 4, i / 16].map(|k| scale * (0.2 * k as f32 - 0.3));
+    let mut object = balls((0..64).map(grid).collect(), 0.08 * scale, 4.0);
+    for (i, dc) in object.sh_dc.iter_mut().enumerate() {
+        *dc = [0, 1, 2].map(|c| if (i >> c) & 1 == 1 { 1.5 } else { -1.5 });
+    }
+    let scene = folder.scene("object.ply", &object);
+    let cameras: Vec<Camera> = (0..24)
+        .map(|i| {
+            let (sin, cos) = (std::f64::consts::TAU * f64::from(i) / 24.0).sin_cos();
+            let height = 1.2 * f64::from(i % 3) - 0.8;
+            let eye = [cos * 2.0, sin * 2.0, height].map(|v| f64::from(scale) * v);
+            let look = LookAt { eye, target: [0.0; 3], fov: 40.0 };
+            look.camera(&format!("train/r_{i}"), Up::PLUS_Z, [48, 48]).unwrap()
+        })
+        .collect();
+    let list = folder.cameras("cameras.json", &cameras);
+    done(&run!("render {scene} --cameras {list} --out {at}black"));
+    done(&run!("render {scene} --cameras {list} --background 1,1,1 --out {at}white"));
+    for i in 0..24 {
+        // What lets the background through is 255 · (1 − alpha) brighter on white.
+        let name = format!("r_{i}.png");
+        let [black, white] = ["black", "white"]
+            .map(|side| read_picture(&folder.path(side).join(&name)).unwrap().to_rgb8());
+        let pixel = |(b, w): (&[u8; 3], &[u8; 3])| {
+            let alpha = 255 - (w[0].saturating_sub(b[0]));
+            let straight = |v: u8| (u32::from(v) * 255 / u32::from(alpha.max(1))).min(255) as u8;
+            let hidden = alpha == 0;
+            let [r, g, b] = if hidden { [90, 200, 10] } else { b.map(straight) };
+            [r, g, b, alpha]
+        };
+        let rgba = black.pixels().iter().zip(white.pixels()).flat_map(pixel).collect();
+        let rgba = Picture::new(48, 48, Channels::Rgba, Samples::Eight(rgba)).unwrap();
+        folder.write(&format!("rgba/{name}"), rgba.encode_png().unwrap());
+    }
+    let words = "--initial 600 --cap 1200 --steps 500 --preview-every 0";
+    let said = told(&run!("optimise --cameras {list} --images {at}rgba {words} --out {at}made"));
+    has(
+        &said,
+        &["RANDOM POINTS in the cube", "units are taken for 1", "24 of 24 cameras have a picture"],
+    );
+    let psnr = json(folder.path("made/optimise.json"))["test_psnr"].as_f64().unwrap();
+    println!("{psnr} dB");
+    assert!(psnr > 24.0, "{psnr} dB");
+    // In the coordinates of the cameras, and no fog around it.
+    let extent = read(folder.path("made/scene.ply"))
+        .coord
+        .iter()
+        .flatten()
+        .fold(0.0f32, |a, v| a.max(v.abs()));
+    assert!((0.3 * scale..1.3 * scale).contains(&extent), "{extent}");
+}
+
 /// What captures may be like: each ends well, or with a message that says what to do.
 #[test]
 fn hostile_captures() {
@@ -186,7 +316,7 @@ fn hostile_captures() {
     refused(&optimise(&list, ""), 1, &["d1.png", "--images"]);
     folder.write("d1.png", colors);
     write_npy(&folder.path("nan/d0.npy"), &[40, 30], &values).unwrap();
-    refused(&optimise(&list, &nan), 1, &["d0.npy", "size"]);
+    refused(&optimise(&list, &nan), 1, &["d0.npy", "is 30 × 40, its picture 40 × 30"]);
     for i in 0..3 {
         std::fs::remove_file(folder.path(&format!("d{i}.png"))).unwrap();
     }

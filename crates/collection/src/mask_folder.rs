@@ -3,16 +3,20 @@
 use crate::{CollectError, PosedPicture, Segmented, Segmenter};
 use scenesplat_rasterizer::lifting::{NO_SEGMENT, SegmentMap};
 use scenesplat_rasterizer::segments::read_ids;
+use scenesplat_scene::frame_files::{EXACT_PICTURES, FoundFiles, FrameFiles};
+use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
-/// A folder of `<frame>.png`: gray, 8 or 16 bits, each value an id; the largest (255 or 65535), or another that is
-/// given, is no segment. Ids need not begin at 0 nor follow each other.
+/// A folder of `<frame>.png`: gray of up to 16 bits, each value an id, or with a palette, each index an id; 255 (of 16
+/// bits 65535), or another that is given, is no segment. Ids need not begin at 0 nor follow each other.
 ///
-/// A map that is smaller or larger than its picture by one factor is used by nearest pixel.
+/// A map that is smaller or larger than its picture, but of its shape, is used by nearest pixel.
 #[derive(Debug, Clone)]
 pub struct MaskFolder {
     path: PathBuf,
     no_segment: Option<u16>,
+    files: FrameFiles,
+    of_frames: BTreeMap<String, PathBuf>,
 }
 
 impl MaskFolder {
@@ -21,20 +25,33 @@ impl MaskFolder {
     /// # Errors
     /// If the folder cannot be read or has no `.png`.
     pub fn open(path: &Path, no_segment: Option<u16>) -> Result<Self, CollectError> {
-        let help = "a folder of id maps is expected: <frame>.png, gray, 8 or 16 bits";
-        let entries =
-            std::fs::read_dir(path).map_err(|e| CollectError::file(path, e.to_string(), help))?;
-        let is_map =
-            |name: &std::ffi::OsStr| Path::new(name).extension().is_some_and(|e| e == "png");
-        if !entries.flatten().any(|entry| is_map(&entry.file_name())) {
+        let files = FrameFiles::open(path, EXACT_PICTURES)?;
+        if files.is_empty() {
+            let help = "a folder of id maps is expected: <frame>.png, gray or with a palette";
             return Err(CollectError::file(path, "holds no .png", help));
         }
-        Ok(Self { path: path.to_owned(), no_segment })
+        Ok(Self { path: path.to_owned(), no_segment, files, of_frames: BTreeMap::new() })
     }
 
-    /// Where the map of a frame is.
-    pub fn file(&self, frame: &str) -> PathBuf {
-        self.path.join(format!("{frame}.png"))
+    /// Finds the maps of frames, each with its name and that of its camera, by the rule of
+    /// [all files of cameras](scenesplat_scene::frame_files).
+    ///
+    /// # Errors
+    /// If cameras of different names mean one map, or maps in different folders fit one camera.
+    pub fn assign(&mut self, frames: &[[&str; 2]]) -> Result<FoundFiles, CollectError> {
+        let cameras: Vec<&str> = frames.iter().map(|[_, camera]| *camera).collect();
+        let found = self.files.find(&cameras)?;
+        let named = frames.iter().zip(&found.files);
+        let file = |([name, _], file): (&[&str; 2], &Option<usize>)| {
+            Some(((*name).to_owned(), self.files.path((*file)?)))
+        };
+        self.of_frames = named.filter_map(file).collect();
+        Ok(found)
+    }
+
+    /// Where the map of a frame is, if it has one.
+    pub fn file(&self, frame: &str) -> Option<&Path> {
+        self.of_frames.get(frame).map(PathBuf::as_path)
     }
 }
 
@@ -46,14 +63,14 @@ impl Segmenter for MaskFolder {
 
     fn segment(&self, picture: &PosedPicture<'_>) -> Result<Segmented, CollectError> {
         picture.check()?;
-        let path = self.file(picture.name);
-        if !path.exists() {
+        let Some(path) = self.file(picture.name) else {
             let help =
                 "every frame needs its map; leave the frame out, or make one without segments";
+            let path = self.path.join(format!("{}.png", picture.name));
             return Err(CollectError::file(&path, "is missing", help));
-        }
-        let (width, height, values, largest) = read_ids(&path)?;
-        let none = self.no_segment.unwrap_or(largest);
+        };
+        let (width, height, values, default) = read_ids(path)?;
+        let none = self.no_segment.unwrap_or(default);
         // 65535 is an id where another value means none; dense ids never are 65535.
         let some = |&v: &u16| (v != none).then_some(u32::from(v));
         let mut ids: Vec<Option<u32>> = values.iter().map(some).collect();
@@ -67,7 +84,7 @@ impl Segmenter for MaskFolder {
             let resized = dense.resized(to_width, to_height).ok_or_else(|| {
                 let problem = format!("is {width}×{height}, its picture {to_width}×{to_height}");
                 let help = "maps have the size of their pictures, or are scaled as a whole";
-                CollectError::file(&path, problem, help)
+                CollectError::file(path, problem, help)
             })?;
             ids = from_map(&resized);
         }
@@ -104,11 +121,17 @@ mod tests {
         let view = view(3, 2);
         let picture = RgbPicture::filled(3, 2, [5; 3]);
         let of = |name| PosedPicture { name, picture: &picture, view: &view, depth: None };
-        let folder = MaskFolder::open(dir.path(), None).unwrap();
+        let open = |none| {
+            let mut folder = MaskFolder::open(dir.path(), none).unwrap();
+            let frames = ["a", "b", "c", "d"].map(|name| [name, name]);
+            assert_eq!(folder.assign(&frames).unwrap().missing, ["d"]);
+            folder
+        };
+        let folder = open(None);
         let none = NO_SEGMENT;
         assert_eq!(folder.segment(&of("a")).unwrap().map.ids(), [1, 1, none, 0, 0, 0]);
         assert_eq!(folder.segment(&of("b")).unwrap().map.ids(), [2, 2, 1, none, 0, 0]);
-        let other = MaskFolder::open(dir.path(), Some(3)).unwrap();
+        let other = open(Some(3));
         assert_eq!(other.segment(&of("a")).unwrap().map.ids(), [0, 0, 1, none, none, none]);
         assert_ne!(other.name(), folder.name());
         for (frame, part) in [("c", "Rgb"), ("d", "is missing")] {

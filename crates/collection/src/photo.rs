@@ -1,10 +1,9 @@
 //! A photo made to fit its camera.
 
 use crate::CollectError;
-use scenesplat_rasterizer::lifting::is_scaled;
 use scenesplat_scene::Camera;
 use scenesplat_scene::input_file::read_file;
-use scenesplat_scene::picture::{RgbPicture, decode_picture, orientation};
+use scenesplat_scene::picture::{RgbPicture, decode_picture, is_scaled, orientation};
 use std::path::Path;
 
 /// Largest file of a photo that is read: 1 GiB.
@@ -29,7 +28,7 @@ pub enum PhotoRemark {
 /// - A photo that is the camera's picture at another scale (both sides by one factor, to within a pixel) keeps its
 ///   pixels, and the camera is scaled.
 ///
-/// Of 16 bits the nearest of 8 are kept; opacity is left out.
+/// Of 16 bits the nearest of 8 are kept. Where a photo is transparent nothing is there: it is put on black.
 ///
 /// # Errors
 /// If it cannot be read, or does not fit; names the file and both sizes.
@@ -38,7 +37,7 @@ pub fn fit_photo(
     camera: &Camera,
 ) -> Result<(RgbPicture, Camera, Vec<PhotoRemark>), CollectError> {
     let bytes = read_file(path, MAX_BYTES)?;
-    let stored = decode_picture(&bytes, path)?.to_rgb8();
+    let stored = decode_picture(&bytes, path)?.over_black();
     let mark = orientation(&bytes).filter(|mark| *mark != 1);
     let size = [stored.width(), stored.height()];
     let turned_size = if mark.is_some_and(|mark| mark >= 5) { [size[1], size[0]] } else { size };

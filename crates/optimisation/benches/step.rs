@@ -60,7 +60,14 @@ fn frame() -> TrainingFrame {
     let pixels = view.pixels();
     let rgb = (0..3 * pixels).map(|i| (128.0 + 100.0 * (i as f32 * 0.01).sin()) as u8).collect();
     let depth = Some(vec![2.0; pixels]);
-    TrainingFrame { name: "wall".into(), view, rgb: Colors::Bytes(rgb), depth, mask: None }
+    TrainingFrame {
+        name: "wall".into(),
+        view,
+        rgb: Colors::Bytes(rgb),
+        alpha: None,
+        depth,
+        mask: None,
+    }
 }
 
 /// What a part cannot do without.

@@ -181,6 +181,7 @@ fn shoot(room: &Gaussians, camera: &Camera) -> Result<TrainingFrame, Failed> {
         name: camera.name.clone(),
         view,
         rgb: Colors::Bytes(rgb),
+        alpha: None,
         depth: Some(depth),
         mask: None,
     })

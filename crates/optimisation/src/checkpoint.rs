@@ -28,11 +28,17 @@ struct FrameMark {
     name: String,
     width: u32,
     height: u32,
-    /// FNV-1a of pose, lens, picture, depth and mask: 64 bits as text.
+    /// FNV-1a of pose, lens, picture, alpha, depth and mask: 64 bits as text.
     hash: String,
 }
 
-const VERSION: u32 = 1;
+/// The version of a state, whatever else is in it.
+#[derive(Deserialize)]
+struct Versioned {
+    version: u32,
+}
+
+const VERSION: u32 = 2;
 const STATE: &str = "state.json";
 const ARRAYS: &str = "arrays.safetensors";
 /// Parameters that Adam has moments of.
@@ -67,6 +73,7 @@ impl FrameMark {
         }
         hash.floats(frame.depth.as_deref().unwrap_or_default());
         hash.add(frame.mask.as_deref().unwrap_or_default());
+        hash.add(frame.alpha.as_deref().unwrap_or_default());
         let (name, hash) = (frame.name.clone(), format!("{:016x}", hash.0));
         Self { name, width: v.width, height: v.height, hash }
     }
@@ -234,11 +241,14 @@ impl State {
         settings: Option<OptimiseSettings>,
     ) -> Result<Self, OptimiseError> {
         let text = std::fs::read(path).map_err(|e| damaged(path, &e))?;
-        let state: Self = serde_json::from_slice(&text).map_err(|e| damaged(path, &e))?;
-        if state.version != VERSION {
-            let problem = format!("is of version {}, this program reads {VERSION}", state.version);
+        // Before all else: another version has other fields.
+        let written: Versioned = serde_json::from_slice(&text).map_err(|e| damaged(path, &e))?;
+        if written.version != VERSION {
+            let version = written.version;
+            let problem = format!("is of version {version}, this program reads {VERSION}");
             return Err(bad(path, problem, "resume with the program that wrote it"));
         }
+        let state: Self = serde_json::from_slice(&text).map_err(|e| damaged(path, &e))?;
         if settings.is_some_and(|settings| settings != state.settings) {
             let problem = "was made with other settings";
             return Err(bad(path, problem, "give the flags of the first run, or another --out"));

@@ -136,7 +136,7 @@ fn color_of(frame: &TrainingFrame, point: [f32; 3]) -> Option<[f64; 3]> {
     for at in
         (row - 1..=row + 1).flat_map(|r| (column - 1..=column + 1).map(move |c| r * width + c))
     {
-        if frame.mask.as_ref().is_some_and(|mask| mask[at] == 0) {
+        if !frame.shows(at) {
             return None;
         }
         let color = [0, 1, 2].map(|c| frame.rgb.at(3 * at + c));
@@ -190,6 +190,7 @@ mod tests {
                 name: i.to_string(),
                 view,
                 rgb: Colors::Floats(rgb),
+                alpha: None,
                 depth: Some(vec![3.0; (width * height) as usize]),
                 mask: None,
             }

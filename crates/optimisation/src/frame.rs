@@ -83,8 +83,10 @@ pub struct TrainingFrame {
     pub name: String,
     /// Where it was taken from; its size is that of the arrays.
     pub view: View,
-    /// What was seen.
+    /// What was seen; where it is not opaque, on a black background: times `alpha`.
     pub rgb: Colors,
+    /// Opacity, 0 to 255: where it is 0 nothing is there. `None` is opaque. `[H, W]`
+    pub alpha: Option<Vec<u8>>,
     /// Along the camera's z axis, units of the scene; 0, negative and NaN where nothing was measured. `[H, W]`
     pub depth: Option<Vec<f32>>,
     /// 0 where a pixel does not count. `[H, W]`
@@ -101,6 +103,7 @@ impl TrainingFrame {
         let sizes = || {
             self.view.check()?;
             expect("picture", 3 * pixels, self.rgb.len())?;
+            expect("alpha", pixels, self.alpha.as_ref().map_or(pixels, Vec::len))?;
             expect("depth", pixels, self.depth.as_ref().map_or(pixels, Vec::len))?;
             expect("mask", pixels, self.mask.as_ref().map_or(pixels, Vec::len))?;
             within("a value of the picture", f64::NAN, self.rgb.is_finite(), "finite")
@@ -108,7 +111,7 @@ impl TrainingFrame {
         sizes().map_err(|error| OptimiseError::Frame {
             frame: self.name.clone(),
             problem: error.to_string(),
-            help: "picture, depth and mask have to have the size that its camera says",
+            help: "picture, alpha, depth and mask have to have the size that its camera says",
         })
     }
 
@@ -121,13 +124,33 @@ impl TrainingFrame {
         colors
             + self.depth.as_ref().map_or(0, |d| 4 * d.len())
             + self.mask.as_ref().map_or(0, Vec::len)
+            + self.alpha.as_ref().map_or(0, Vec::len)
+    }
+
+    /// The picture on a background, 0 to 1, into memory that is used again.
+    pub fn put_over(&self, background: [f32; 3], out: &mut Vec<f32>) {
+        self.rgb.put(out);
+        if let Some(alpha) = self.alpha.as_ref().filter(|_| background != [0.0; 3]) {
+            for (pixel, &alpha) in out.as_chunks_mut::<3>().0.iter_mut().zip(alpha) {
+                let free = 1.0 - f32::from(alpha) / 255.0;
+                for (v, behind) in pixel.iter_mut().zip(background) {
+                    *v += free * behind;
+                }
+            }
+        }
+    }
+
+    /// Whether a pixel counts and shows something that is at least half opaque.
+    pub fn shows(&self, pixel: usize) -> bool {
+        self.mask.as_ref().is_none_or(|mask| mask[pixel] != 0)
+            && self.alpha.as_ref().is_none_or(|alpha| alpha[pixel] >= 128)
     }
 
     /// The frame at half the size: means of four pixels, of depths those that were measured, masked
     /// where any of the four is. A last odd row or column is left out.
     pub fn halved(&self) -> Self {
         let (name, rgb) = (String::new(), Colors::default());
-        let mut out = Self { name, view: self.view, rgb, depth: None, mask: None };
+        let mut out = Self { name, view: self.view, rgb, alpha: None, depth: None, mask: None };
         self.halve_into(&mut out);
         out
     }
@@ -166,6 +189,14 @@ impl TrainingFrame {
             refilled(out.depth.take().unwrap_or_default(), values)
         };
         out.depth = self.depth.as_deref().map(depth);
+        let alpha = |of: &[u8]| {
+            let mean = |(x, y)| {
+                let sum: u32 = four(x, y).iter().map(|i| u32::from(of[*i])).sum();
+                ((sum + 2) / 4) as u8
+            };
+            refilled(out.alpha.take().unwrap_or_default(), all().map(mean))
+        };
+        out.alpha = self.alpha.as_deref().map(alpha);
         let mask = |of: &[u8]| {
             let least = |(x, y)| four(x, y).map(|i| of[i]).into_iter().min().unwrap_or(0);
             refilled(out.mask.take().unwrap_or_default(), all().map(least))
@@ -224,6 +255,7 @@ pub(crate) mod tests {
             name: String::new(),
             view,
             rgb: Colors::Bytes(vec![0; 3 * pixels]),
+            alpha: None,
             depth: depth.map(|z| vec![z; pixels]),
             mask: None,
         }
@@ -235,6 +267,7 @@ pub(crate) mod tests {
             name: "a".to_owned(),
             view: view(3, 2),
             rgb: Colors::Bytes((0..18).collect()),
+            alpha: Some(vec![255, 127, 0, 8, 1, 0]),
             depth: Some(vec![1.0, f32::NAN, 9.0, 0.0, 2.0, 9.0]),
             mask: Some(vec![1, 1, 1, 1, 0, 1]),
         };
@@ -246,6 +279,7 @@ pub(crate) mod tests {
             name: "b".to_owned(),
             view: view(4, 4),
             rgb: Colors::Floats(vec![0.5; 48]),
+            alpha: None,
             depth: Some(vec![1.0; 16]),
             mask: None,
         };
@@ -255,7 +289,7 @@ pub(crate) mod tests {
         assert_eq!(used, half);
         // Pixels 0, 1, 3, 4: reds 0, 3, 9, 12.
         assert_eq!(half.rgb, Colors::Bytes(vec![6, 7, 8]));
-        assert_eq!(half.depth, Some(vec![1.5]));
+        assert_eq!((half.alpha, half.depth), (Some(vec![98]), Some(vec![1.5])));
         assert_eq!(half.mask, Some(vec![0]));
         assert_eq!((half.view.width, half.view.height, half.view.cx), (1, 1, 0.75));
         let bad = TrainingFrame { rgb: Colors::Bytes(vec![0; 17]), ..frame };

@@ -26,7 +26,7 @@ pub fn fused_points(frames: &[TrainingFrame], most: usize) -> (Vec<[f32; 3]>, Ve
     for frame in frames {
         let Some(depth) = &frame.depth else { continue };
         for (i, &z) in depth.iter().enumerate() {
-            if !measured(z) || frame.mask.as_ref().is_some_and(|m| m[i] == 0) {
+            if !measured(z) || !frame.shows(i) {
                 continue;
             }
             number += 1;
@@ -90,6 +90,7 @@ mod tests {
             name: String::new(),
             view: view(4, 4),
             rgb: Colors::Floats(vec![0.5; 48]),
+            alpha: None,
             depth: Some((0..16).map(|i| if i == 5 { f32::NAN } else { 3.0 }).collect()),
             mask: None,
         };

@@ -16,6 +16,7 @@
 #![allow(clippy::neg_cmp_op_on_partial_ord, reason = "guards are written so that NaN fails them")]
 
 pub mod adam;
+pub mod background;
 pub mod capture_folder;
 pub mod checkpoint;
 pub mod cost;
@@ -37,9 +38,11 @@ mod sampling;
 pub mod score;
 pub mod settings;
 pub mod strategy;
+pub mod view_points;
 mod window;
 
 pub use adam::{Adam, AdamSettings, Moments, Rates, Regularisers};
+pub use background::Background;
 pub use capture_folder::{Capture, CaptureFolder};
 pub use checkpoint::newest_checkpoint;
 pub use cost::StepCost;
@@ -56,3 +59,4 @@ pub use settings::{
     BaseRates, DepthKind, DepthTerm, OptimiseSettings, SceneScale, StepOrder, Strategy,
 };
 pub use strategy::{DefaultSettings, McmcSettings, Refined};
+pub use view_points::{Focus, focus_of, points_in_view, thin};

@@ -214,11 +214,8 @@ impl Optimiser {
     /// Draws, compares, and adds the derivatives to `gradients`.
     fn pull(&mut self, frame: &TrainingFrame, number: usize) -> Result<StepReport, OptimiseError> {
         let settings = &self.settings;
-        let mut raster = settings.raster();
-        if settings.random_background {
-            let units = Counter::new(settings.seed, Purpose::Background, self.step).units(0);
-            raster.background = Some([units[0] as f32, units[1] as f32, units[2] as f32]);
-        }
+        let behind = settings.background.at(settings.seed, self.step, frame.alpha.is_some());
+        let raster = settings.raster_on(behind);
         let term = settings.depth_loss();
         let measured = term.and_then(|term| Some((term, frame.depth.as_ref()?)));
         let request = TraceRequest {
@@ -230,12 +227,16 @@ impl Optimiser {
         workspace.trace(&self.model.gaussians, &frame.view, &raster, request, traced)?;
         let rgb = traced.picture.rgb.as_deref().unwrap_or_default();
         let b = &mut self.buffers;
-        frame.rgb.put(&mut b.truth);
         b.slope.resize(rgb.len(), 0.0);
         let mask = frame.mask.as_deref();
+        let mut behind_truth = behind;
         if settings.exposure {
+            // What is behind is exposed as the picture is, so that it says nothing about exposure.
+            self.exposure.apply(number, &behind, &mut b.exposed);
+            behind_truth.copy_from_slice(&b.exposed);
             self.exposure.apply(number, rgb, &mut b.exposed);
         }
+        frame.put_over(behind_truth, &mut b.truth);
         let pred = if settings.exposure { &b.exposed[..] } else { rgb };
         let size = [frame.view.width as usize, frame.view.height as usize];
         let comparison = comparison(&mut b.comparisons, size, settings.image())?;
@@ -409,6 +410,7 @@ mod tests {
             name: format!("{i}"),
             view: view(48, 40),
             rgb: Colors::Bytes((0..3 * pixels).map(|k| ((i + 1) * k * 37 % 251) as u8).collect()),
+            alpha: None,
             depth: Some(vec![1.5 + 0.5 * i as f32; pixels]),
             mask: None,
         };

@@ -1,5 +1,6 @@
 //! What optimisation does, with the values of two trainers.
 
+use crate::background::Background;
 use crate::depth_loss::DepthOutliers;
 use crate::error::{OptimiseError, within};
 use crate::image_loss::{ImageWeights, SsimPadding};
@@ -140,8 +141,8 @@ pub struct OptimiseSettings {
     pub far: f32,
     /// Whether opacities make up for the low-pass; then renders of the result have to, too.
     pub antialiased: bool,
-    /// Whether another color is behind everything at each step, instead of black.
-    pub random_background: bool,
+    /// What is behind everything.
+    pub background: Background,
     /// First steps that use pictures of half the size.
     pub half_steps: u64,
     /// Whether each picture has a gain and an offset per channel of its own.
@@ -158,6 +159,7 @@ impl OptimiseSettings {
             strategy: Strategy::Mcmc(McmcSettings {
                 cap: 1_500_000,
                 relocation: Relocation::Gsplat15,
+                few: 10_000,
                 ..McmcSettings::default()
             }),
             order: StepOrder::Gsplat13,
@@ -177,7 +179,7 @@ impl OptimiseSettings {
             near: 0.01,
             far: 100.0,
             antialiased: true,
-            random_background: false,
+            background: Background::Auto,
             half_steps: 0,
             exposure: false,
         }
@@ -279,13 +281,20 @@ impl OptimiseSettings {
             Strategy::Default(settings) => settings.check()?,
             Strategy::Fixed => {}
         }
+        self.background.check()?;
         self.raster().check()?;
         Ok(())
     }
 
     /// How pictures are drawn: the constants of gsplat 1.6, so that renders of the result look as it did.
     pub fn raster(&self) -> RasterSettings {
+        self.raster_on(self.background.shown())
+    }
+
+    /// The same on a background.
+    pub(crate) fn raster_on(&self, background: [f32; 3]) -> RasterSettings {
         RasterSettings {
+            background: (background != [0.0; 3]).then_some(background),
             near: self.near,
             far: self.far,
             antialiased: self.antialiased,

@@ -69,7 +69,14 @@ fn frame(i: usize, size: u32) -> TrainingFrame {
     };
     let pixels = view.pixels();
     let rgb = Colors::Bytes((0..3 * pixels).map(|k| (k * 37 % 251) as u8).collect());
-    TrainingFrame { name: format!("{i}"), view, rgb, depth: Some(vec![2.0; pixels]), mask: None }
+    TrainingFrame {
+        name: format!("{i}"),
+        view,
+        rgb,
+        alpha: None,
+        depth: Some(vec![2.0; pixels]),
+        mask: None,
+    }
 }
 
 /// The most bytes of one step, once every frame has been seen.

@@ -19,6 +19,7 @@ pub mod floor;
 pub mod folder_lock;
 pub mod formats;
 pub mod frame;
+pub mod frame_files;
 pub mod gaussian_scene;
 pub mod input_file;
 pub mod label_set;

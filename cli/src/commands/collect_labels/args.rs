@@ -41,7 +41,7 @@ pub struct Args {
           value_parser = clap::value_parser!(u32).range(1..))]
     pub max_frames: Option<u32>,
     /// What cuts pictures into segments: superpixels over color, depth and normals (no weights), sam2, onnx, or a folder
-    /// of id maps, FRAME.png, gray, 8 or 16 bits.
+    /// of id maps, FRAME.png, gray, or with a palette: the index is the id.
     #[arg(
         long,
         value_name = "sam2|superpixels|onnx|FOLDER",

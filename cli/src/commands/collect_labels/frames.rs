@@ -1,19 +1,15 @@
 //! The pictures that labels come from.
 
 use super::args::Args;
-use crate::commands::render::picture_name;
 use crate::error::refuse;
 use crate::session::Session;
 use anyhow::{Context, Result};
 use scenesplat::collection::{PhotoRemark, fit_photo};
 use scenesplat::rasterizer::View;
+use scenesplat::scene::frame_files::{FrameFiles, PICTURES, frame_names};
 use scenesplat::scene::picture::RgbPicture;
 use scenesplat::scene::{Camera, open_cameras};
-use std::collections::HashSet;
 use std::path::{Path, PathBuf};
-
-/// Endings of photos, in the order in which they are looked for.
-const ENDINGS: [&str; 6] = ["png", "jpg", "jpeg", "PNG", "JPG", "JPEG"];
 
 /// One picture to be.
 #[derive(Debug, Clone)]
@@ -37,49 +33,30 @@ pub(super) fn of_photos(session: &Session<'_>, args: &Args) -> Result<Vec<Frame>
         session.progress.say(note);
     }
     anyhow::ensure!(folder.is_dir(), "--images {}: is no folder", folder.display());
-    let count = set.cameras.len();
-    let (mut frames, mut missing, mut taken) = (Vec::new(), Vec::new(), HashSet::new());
-    for (index, camera) in set.cameras.into_iter().enumerate() {
+    for camera in &set.cameras {
         // Lenses that cannot be drawn are said before anything else.
-        View::from_camera(&camera).with_context(|| file.display().to_string())?;
-        let mut name = picture_name(&camera.name, index);
-        let Some(photo) = photo_of(folder, &camera.name, &name) else {
-            missing.push(camera.name);
-            continue;
-        };
-        if !taken.insert(name.clone()) {
-            // Folders of several lenses often number their pictures alike.
-            name = format!("{name}_{index:05}");
-            taken.insert(name.clone());
-        }
-        frames.push(Frame { name, camera, photo: Some(photo) });
+        View::from_camera(camera).with_context(|| file.display().to_string())?;
     }
+    let names: Vec<&str> = set.cameras.iter().map(|camera| camera.name.as_str()).collect();
+    let files = FrameFiles::open(folder, PICTURES)?;
+    let found = files.find(&names)?;
     anyhow::ensure!(
-        !frames.is_empty(),
-        "--images {}: holds the photo of none of the {count} cameras ({:?}, …)",
+        found.num_found() > 0,
+        "--images {}: holds the photo of none of the {} cameras ({:?}, …)",
         folder.display(),
-        missing.first().map_or("", String::as_str)
+        names.len(),
+        names.first().unwrap_or(&"")
     );
-    if let Some(first) = missing.first() {
-        session.warn(format!("{} of {count} cameras have no photo ({first}, …)", missing.len()));
-    }
-    Ok(frames)
-}
-
-/// The photo of a camera: by its name as the file says it, without its folders, or with another ending.
-fn photo_of(folder: &Path, name: &str, frame: &str) -> Option<PathBuf> {
-    let plain = name.replace('\\', "/");
-    let file = plain.rsplit('/').next().unwrap_or(&plain);
-    // Names come from a file: they stay inside the folder.
-    let is_inside = |name: &str| {
-        let mut parts = Path::new(name).components();
-        parts.all(|p| matches!(p, std::path::Component::Normal(_) | std::path::Component::CurDir))
+    session.tell_found("photo", &found);
+    let photos = found.files.iter().enumerate().filter_map(|(i, file)| Some((i, (*file)?)));
+    let photos: Vec<(usize, usize)> = photos.collect();
+    let unique = frame_names(photos.iter().map(|&(i, _)| (i, names[i])));
+    let frame = |((i, file), name): ((usize, usize), String)| Frame {
+        name,
+        camera: set.cameras[i].clone(),
+        photo: Some(files.path(file)),
     };
-    let stem = plain.strip_suffix(file).unwrap_or("");
-    let named = [plain.as_str(), file].map(str::to_owned);
-    let ended = ENDINGS.iter().flat_map(|e| [format!("{stem}{frame}.{e}"), format!("{frame}.{e}")]);
-    let found = named.into_iter().chain(ended).filter(|n| !n.is_empty() && is_inside(n));
-    found.map(|name| folder.join(name)).find(|path| path.is_file())
+    Ok(photos.into_iter().zip(unique).map(frame).collect())
 }
 
 /// What was done to photos, counted.

@@ -24,7 +24,7 @@ pub fn run(args: &Args, line: &str) -> Result<()> {
     let session = Session::start(&args.lifting.shared, line)?;
     // Whatever can be wrong with flags and names is found before anything expensive.
     args.check()?;
-    let sources = Sources::of(&session, args)?;
+    let mut sources = Sources::of(&session, args)?;
     session.outputs.reads(&args.input.scene)?;
     session.outputs.reads_any([args.cameras.as_deref(), args.images.as_deref()])?;
     if let SegmentsArg::Folder(folder) = &args.segments {
@@ -48,6 +48,7 @@ pub fn run(args: &Args, line: &str) -> Result<()> {
         (None, Some(most)) => choice::chosen(&session, photos, &gaussians, most)?,
         (None, None) => photos,
     };
+    sources.assign(&session, &frames)?;
     let antialiased = args.lifting.antialiased.unwrap_or(opened.loaded.scene.antialiased);
     let raster = RasterSettings { antialiased, ..RasterSettings::default() };
     let work = Work { session: &session, args, sources: &sources, gaussians: &gaussians, raster };
@@ -58,7 +59,8 @@ pub fn run(args: &Args, line: &str) -> Result<()> {
             SegmentFolder::open(&args.lifting.shared.out.join(FRAMES), SegmentOptions::default())?;
         let names: Vec<&str> = cameras.iter().map(|camera| camera.name.as_str()).collect();
         let matches = folder.match_cameras(&names)?;
-        let labels = PictureLabels { cameras, folder, matches };
+        let files = frames.iter().map(|frame| frame.camera.name.clone()).collect();
+        let labels = PictureLabels { cameras, files, folder, matches };
         let lifting = args.lifting(args.cameras.as_deref().unwrap_or(&args.input.scene))?;
         lifting.lift_onto(&session, &opened, &gaussians, &labels, None)?;
     }

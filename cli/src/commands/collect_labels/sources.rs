@@ -1,6 +1,7 @@
 //! What cuts pictures, and what describes segments.
 
 use super::args::{Args, FeaturesArg, PicturePrecision, SegmentsArg};
+use super::frames::Frame;
 use super::onnx;
 use crate::error::WrongUse;
 use crate::receipt::sha256_of;
@@ -12,7 +13,7 @@ use scenesplat::collection::{
 use scenesplat::kernels::Precision;
 use scenesplat::picture_networks::{MaskSegments, SiglipCrops};
 use scenesplat::vision::{Sam2, SiglipImageEncoder};
-use std::path::PathBuf;
+use std::path::Path;
 
 /// Both, and where masks are, if they come from files.
 pub(super) struct Sources {
@@ -65,8 +66,17 @@ impl Sources {
         Ok(Self { segmenter, encoder, masks })
     }
 
+    /// Finds the masks of the frames, if masks come from files.
+    pub(super) fn assign(&mut self, session: &Session<'_>, frames: &[Frame]) -> Result<()> {
+        let Some(folder) = &mut self.masks else { return Ok(()) };
+        let named: Vec<[&str; 2]> = frames.iter().map(|f| [&*f.name, &*f.camera.name]).collect();
+        session.tell_found("map of segments", &folder.assign(&named)?);
+        self.segmenter = Box::new(folder.clone());
+        Ok(())
+    }
+
     /// The file of a frame's mask, if masks come from files.
-    pub(super) fn mask(&self, frame: &str) -> Option<PathBuf> {
-        self.masks.as_ref().map(|folder| folder.file(frame))
+    pub(super) fn mask(&self, frame: &str) -> Option<&Path> {
+        self.masks.as_ref()?.file(frame)
     }
 }

@@ -69,7 +69,7 @@ impl Work<'_> {
         let hash = |path: Option<&Path>| -> Result<Option<String>> {
             Ok(path.map(sha256_of).transpose()?.map(|(hash, _)| hash))
         };
-        let mask = self.sources.mask(&frame.name).filter(|path| path.exists());
+        let mask = self.sources.mask(&frame.name);
         let text = json!({
             "version": 1,
             "segmenter": self.sources.segmenter.name(),
@@ -77,7 +77,7 @@ impl Work<'_> {
             "original": self.is_original(),
             "camera": frame.camera,
             "photo": hash(frame.photo.as_deref())?,
-            "mask": hash(mask.as_deref())?,
+            "mask": hash(mask)?,
             "scene": scene,
             "source": scene.as_ref().map(|_| format!("{:?}", self.args.read_options())),
             "antialiased": scene.as_ref().map(|_| self.raster.antialiased),

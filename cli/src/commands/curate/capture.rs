@@ -6,13 +6,11 @@ use crate::session::Session;
 use crate::terminal::print;
 use anyhow::{Context, Result};
 use scenesplat::metrics::image::frame_filter::FrameFilter;
-use scenesplat::optimisation::capture_folder::stem;
 use scenesplat::optimisation::curation::{Coverage, FrameReport, coverage, judge_frames};
 use scenesplat::optimisation::{CaptureFolder, TrainingFrame};
 use scenesplat::scene::formats::cameras::write_cameras_json;
 use scenesplat::scene::{Camera, open_cameras};
 use serde_json::json;
-use std::collections::BTreeSet;
 
 /// A capture with what was found out about it.
 pub(super) struct Judged {
@@ -36,6 +34,9 @@ impl Args {
             depth_scale: self.depth_scale,
         };
         let capture = folder.read(&set)?;
+        for (what, found) in &capture.found {
+            session.tell_found(what, found);
+        }
         for note in &capture.notes {
             session.progress.say(note);
             session.receipt.warning(note);
@@ -64,10 +65,8 @@ impl Args {
                 100.0 * c.holes
             ));
         }
-        let kept: BTreeSet<&str> =
-            report.frames.iter().filter(|f| f.kept).map(|f| f.name.as_str()).collect();
-        let has_picture = |c: &&Camera| kept.contains(stem(&c.name));
-        let cameras: Vec<Camera> = set.cameras.iter().filter(has_picture).cloned().collect();
+        let judged = capture.cameras.iter().zip(&report.frames).filter(|(_, frame)| frame.kept);
+        let cameras: Vec<Camera> = judged.map(|(&i, _)| set.cameras[i].clone()).collect();
         if cameras.is_empty() {
             session.receipt.warning("no frame is kept: cameras.json is not written");
         } else {

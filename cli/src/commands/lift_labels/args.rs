@@ -1,7 +1,7 @@
 //! The flags of `lift-labels`.
 
 use crate::commands::many::OneOrMany;
-use crate::flags::{PreviewArgs, Shared, SourceArgs, parse_level, parse_up};
+use crate::flags::{PreviewArgs, Shared, SourceArgs, parse_level, parse_positive, parse_up};
 use crate::receipt::Receipt;
 use clap::ValueEnum;
 use clap::builder::TypedValueParser;
@@ -23,11 +23,11 @@ pub struct Args {
     /// cameras.json, transforms.json or a COLMAP folder; pinhole cameras in the frame of the scene.
     #[arg(long, value_name = "PATH")]
     pub cameras: PathBuf,
-    /// Folder with FRAME_s.npy and FRAME_f.npy, or FRAME.png with feature tables; frames are named
-    /// as the cameras' pictures.
+    /// Folder with FRAME_s.npy and FRAME_f.npy, or FRAME.png (gray, or with a palette: the index is the id) with
+    /// feature tables; frames are named as the cameras' pictures.
     #[arg(long, value_name = "DIR")]
     pub segments: PathBuf,
-    /// Folder with the photos, FRAME.png or FRAME.jpg, of their cameras' size: says what they show of motion
+    /// Folder with the photos, called as their cameras, of these cameras' size: says what they show of motion
     /// blur, light, noise and coverage. One render for each.
     #[arg(long, value_name = "DIR")]
     pub photos: Option<PathBuf>,
@@ -65,7 +65,7 @@ pub struct Args {
     /// Keeps the weighted mean as it is instead of dividing it by its length.
     #[arg(long)]
     pub unnormalised: bool,
-    /// Value of PNG pixels that belong to no segment; by default the largest, 255 or 65535.
+    /// Value of PNG pixels that belong to no segment; by default 255, or 65535 of 16 bits.
     #[arg(long, value_name = "VALUE")]
     pub no_segment: Option<u16>,
     /// What collect-labels can say, too.
@@ -88,10 +88,10 @@ pub struct LiftArgs {
     #[arg(long, value_enum, default_value_t = RobustArg::Auto)]
     pub robust: RobustArg,
     /// Leaves out pixels whose depth is not the Gaussian's: `render` by the median depth of the scene
-    /// itself (1 % and two standard deviations), or a folder of FRAME.npy, [H, W], 0 = unknown (3 %
-    /// and 0.05 units); `auto` does what `render` does if up to 16 of the pictures, spread evenly, show
-    /// in the first level that it leaves out wrong labels and keeps half of the weight (`off`
-    /// with the rule centre-pixel).
+    /// itself (1 % and two standard deviations), or a folder of FRAME.npy, [H, W], or FRAME.png of 16 bits, 0 =
+    /// unknown (3 % and 0.05 units; a picture without one has that of the scene); `auto` does what `render` does if
+    /// up to 16 of the pictures, spread evenly, show in the first level that it leaves out wrong labels and keeps half
+    /// of the weight (`off` with the rule centre-pixel).
     #[arg(
         long,
         value_name = "auto|off|render|DIR",
@@ -99,6 +99,9 @@ pub struct LiftArgs {
         value_parser = clap::builder::PathBufValueParser::new().map(DepthArg::from)
     )]
     pub depth: DepthArg,
+    /// Steps per unit of the scene in 16-bit pictures of depth: 1000 for millimeters.
+    #[arg(long, value_name = "STEPS", default_value_t = 1000.0, value_parser = parse_positive)]
+    pub depth_scale: f64,
     /// Memory for weights that wait (8GB, 512MB; at least 49.2 kB); more wait in a file in the output
     /// folder.
     #[arg(long, value_name = "SIZE")]

@@ -41,8 +41,9 @@ pub fn run(args: &Args, line: &str) -> Result<()> {
     let gaussians = Gaussians::from_scene(&opened.loaded.scene)?;
     args.record(&session)?;
     let origin = opened.loaded.scene.origin;
+    let files = cameras.iter().map(|camera| camera.name.clone()).collect();
     let cameras = cameras.iter().map(|camera| camera.relative_to(origin)).collect();
-    let labels = PictureLabels { cameras, folder, matches };
+    let labels = PictureLabels { cameras, files, folder, matches };
     args.lift_onto(&session, &opened, &gaussians, &labels, before.as_ref())?;
     session.finish()
 }
@@ -51,6 +52,8 @@ pub fn run(args: &Args, line: &str) -> Result<()> {
 pub(super) struct PictureLabels {
     /// All of a file, in its order.
     pub(super) cameras: Vec<Camera>,
+    /// What their photos and depths are called.
+    pub(super) files: Vec<String>,
     /// Their maps and features.
     pub(super) folder: SegmentFolder,
     /// Which frame belongs to which camera.
@@ -74,16 +77,18 @@ impl Args {
         labels: &PictureLabels,
         before: Option<&EffectPlan>,
     ) -> Result<()> {
-        let PictureLabels { cameras, folder, matches } = labels;
+        let PictureLabels { cameras, files, folder, matches } = labels;
         let views = pictures::views(cameras, matches, &self.cameras)?;
-        let pictures =
-            Pictures::new(folder, pictures::paired(&views, matches), &self.lifting.depth);
+        let names = files.iter().zip(matches.frames()).filter(|(_, frame)| frame.is_some());
+        let names: Vec<&str> = names.map(|(name, _)| name.as_str()).collect();
+        let depths = self.lifting.measured_depths(session, &names)?;
+        let pictures = Pictures::new(folder, pictures::paired(&views, matches), depths);
         let antialiased = self.lifting.antialiased.unwrap_or(opened.loaded.scene.antialiased);
         let depth = self.decide_depth(session, (gaussians, antialiased), &pictures)?;
         let settings = self.settings(depth, antialiased);
-        let with_frames = cameras.iter().zip(&matches.frames).filter(|(_, frame)| frame.is_some());
+        let with_frames = cameras.iter().zip(matches.frames()).filter(|(_, frame)| frame.is_some());
         let with_frames: Vec<_> = with_frames.map(|(camera, _)| camera).collect();
-        let weights = self.weigh(session, (gaussians, antialiased), &pictures, &with_frames)?;
+        let weights = self.weigh(session, (gaussians, antialiased), &names, &with_frames)?;
         let glass = self.decide_glass(session, &opened.loaded.scene, before)?;
         let mut lifter = self.lift(session, gaussians, &pictures, &weights, &settings, &glass)?;
         self.note_glass(session, &lifter, glass);

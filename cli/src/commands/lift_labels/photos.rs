@@ -1,7 +1,6 @@
 //! What the photos themselves say, and how much each of them counts.
 
 use super::args::{Args, FrameWeightsArg};
-use super::pictures::Pictures;
 use super::plan::LIFTING;
 use crate::session::Session;
 use anyhow::{Context, Result};
@@ -10,17 +9,10 @@ use scenesplat::rasterizer::{
     SceneProfile,
 };
 use scenesplat::scene::Camera;
+use scenesplat::scene::frame_files::{FrameFiles, PICTURES};
 use scenesplat::scene::picture::read_picture;
 use scenesplat_lab::capture::CaptureProbe;
 use scenesplat_lab::compensation::render_section;
-use std::path::{Path, PathBuf};
-
-/// Endings of photos, in the order in which they are looked for.
-const ENDINGS: [&str; 6] = ["png", "jpg", "jpeg", "PNG", "JPG", "JPEG"];
-
-fn photo_of(folder: &Path, frame: &str) -> Option<PathBuf> {
-    ENDINGS.iter().map(|e| folder.join(format!("{frame}.{e}"))).find(|path| path.is_file())
-}
 
 /// The Gaussians for renderings with depth.
 fn prepare(
@@ -37,43 +29,43 @@ fn prepare(
 }
 
 impl Args {
-    /// The weight of each picture, all 1 without photos; `cameras` are those of the pictures.
+    /// The weight of each picture, all 1 without photos; `cameras` are those of the pictures, `names` what their
+    /// photos are called.
     pub(super) fn weigh(
         &self,
         session: &Session<'_>,
         (gaussians, antialiased): (&Gaussians, bool),
-        pictures: &Pictures<'_>,
+        names: &[&str],
         cameras: &[&Camera],
     ) -> Result<Vec<f32>> {
-        let mut weights = vec![1.0; pictures.len()];
+        let mut weights = vec![1.0; cameras.len()];
         let count = gaussians.means.len();
         let Some(folder) = &self.photos else {
             session.receipt.decided(count, LIFTING, self.about_frames(None, 0));
             return Ok(weights);
         };
         let _stage = session.receipt.stage("photos");
+        let files = FrameFiles::open(folder, PICTURES).context("--photos")?;
+        let found = files.find(names)?;
+        anyhow::ensure!(
+            found.num_found() > 0,
+            "--photos {}: no photo is named like a camera ({:?}, …)",
+            folder.display(),
+            names.first().unwrap_or(&"")
+        );
+        session.tell_found("photo", &found);
         let prepared = prepare(session, (gaussians, antialiased))?;
         let mut probe = CaptureProbe::new(&prepared);
         let mut seen = Vec::new();
-        for (number, camera) in cameras.iter().enumerate() {
+        for (number, (camera, file)) in cameras.iter().zip(&found.files).enumerate() {
             session.check_stop()?;
             session.progress.advance("photos", number as f64 / cameras.len() as f64);
-            let Some(path) = photo_of(folder, pictures.name(number)) else { continue };
-            let photo = read_picture(&path)?.to_rgb8();
+            let Some(path) = file.map(|file| files.path(file)) else { continue };
+            let photo = read_picture(&path)?.over_black();
             probe.add(camera, &photo).with_context(|| path.display().to_string())?;
             seen.push(number);
         }
         session.progress.finish();
-        let missing = pictures.len() - seen.len();
-        anyhow::ensure!(
-            !seen.is_empty(),
-            "--photos {}: no photo is named like a frame ({}.png or .jpg, …)",
-            folder.display(),
-            pictures.name(0)
-        );
-        if missing > 0 {
-            session.warn(format!("{missing} of {} pictures have no photo", pictures.len()));
-        }
         let report = probe.report();
         for finding in &report.findings {
             session.progress.say(finding.to_string());

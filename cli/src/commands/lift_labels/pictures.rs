@@ -1,6 +1,6 @@
 //! Cameras, their segments and depths, picture by picture.
 
-use super::args::{Args, DepthArg};
+use super::args::{Args, DepthArg, LiftArgs};
 use crate::session::Session;
 use anyhow::{Context, Result};
 use scenesplat::rasterizer::View;
@@ -8,9 +8,10 @@ use scenesplat::rasterizer::lifting::LabelledPicture;
 use scenesplat::rasterizer::segments::{
     CameraMatches, FrameSegments, SegmentFolder, SegmentOptions,
 };
-use scenesplat::scene::formats::npy::NpyFile;
+use scenesplat::scene::formats::depth_map::read_depth;
+use scenesplat::scene::frame_files::{DEPTHS, FrameFiles};
 use scenesplat::scene::{Camera, open_cameras};
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 impl Args {
     /// Cameras and the frames that belong to them.
@@ -39,10 +40,7 @@ impl Args {
             let count = matches.without_camera.len();
             session.receipt.warning(format!("{count} frames have no camera ({frame}, …)"));
         }
-        if let Some(camera) = names.iter().zip(&matches.frames).find(|(_, f)| f.is_none()) {
-            let count = names.len() - matches.num_matched();
-            session.receipt.warning(format!("{count} cameras have no segments ({}, …)", camera.0));
-        }
+        session.tell_found("map of segments", &matches.found);
         session.receipt.setting("pictures", matches.num_matched(), "cameras with segments");
         Ok((set.cameras, folder, matches))
     }
@@ -58,7 +56,7 @@ pub(super) fn views(
         let view = frame.map(|_| View::from_camera(camera)).transpose();
         view.with_context(|| format!("{}: camera {:?}", path.display(), camera.name))
     };
-    cameras.iter().zip(&matches.frames).map(view).collect()
+    cameras.iter().zip(matches.frames()).map(view).collect()
 }
 
 /// Those with their frames.
@@ -66,7 +64,7 @@ pub(super) fn paired<'a>(
     views: &'a [Option<View>],
     matches: &CameraMatches,
 ) -> Vec<(&'a View, usize)> {
-    let pairs = views.iter().zip(&matches.frames);
+    let pairs = views.iter().zip(matches.frames());
     pairs.filter_map(|(view, frame)| view.as_ref().zip(*frame)).collect()
 }
 
@@ -75,12 +73,19 @@ pub(super) struct Pictures<'a> {
     folder: &'a SegmentFolder,
     /// Cameras and the numbers of their frames.
     views: Vec<(&'a View, usize)>,
-    depth: &'a DepthArg,
+    depths: MeasuredDepths,
+}
+
+/// Files of depths, one for each picture, if it has one.
+pub(super) struct MeasuredDepths {
+    files: Vec<Option<PathBuf>>,
+    /// Steps per unit of PNGs.
+    scale: f64,
 }
 
 /// One of them.
 pub(super) struct Picture<'a> {
-    pub(super) name: &'a str,
+    pub(super) name: String,
     view: &'a View,
     pub(super) segments: FrameSegments,
     depth: Option<Vec<f32>>,
@@ -90,25 +95,22 @@ impl<'a> Pictures<'a> {
     pub(super) fn new(
         folder: &'a SegmentFolder,
         views: Vec<(&'a View, usize)>,
-        depth: &'a DepthArg,
+        depths: MeasuredDepths,
     ) -> Self {
-        Self { folder, views, depth }
+        Self { folder, views, depths }
     }
 
     pub(super) fn len(&self) -> usize {
         self.views.len()
     }
 
-    /// Name of its frame.
-    pub(super) fn name(&self, number: usize) -> &'a str {
-        self.folder.name(self.views[number].1)
-    }
-
     pub(super) fn read(&self, number: usize) -> Result<Picture<'a>> {
         let (view, frame) = self.views[number];
         let name = self.folder.name(frame);
         let segments = self.folder.read(frame, view.width, view.height)?;
-        Ok(Picture { name, view, segments, depth: measured_depth(self.depth, name, view)? })
+        let read = |path| read_depth(path, [view.width, view.height], self.depths.scale);
+        let depth = self.depths.files[number].as_deref().map(read).transpose()?;
+        Ok(Picture { name, view, segments, depth })
     }
 }
 
@@ -124,7 +126,7 @@ impl Picture<'_> {
 
     /// Checks that features are as wide as those before.
     pub(super) fn check_dim(&self, dim: usize) -> Result<()> {
-        let (name, mine) = (self.name, self.segments.dim);
+        let (name, mine) = (&self.name, self.segments.dim);
         anyhow::ensure!(
             mine == dim,
             "{name}: its features have {mine} values, those before it {dim}"
@@ -133,16 +135,30 @@ impl Picture<'_> {
     }
 }
 
-/// The measured depth of a frame.
-fn measured_depth(depth: &DepthArg, frame: &str, view: &View) -> Result<Option<Vec<f32>>> {
-    let DepthArg::Folder(folder) = depth else { return Ok(None) };
-    let file = NpyFile::open(&folder.join(format!("{frame}.npy")))?;
-    let expected = [view.height as usize, view.width as usize];
-    anyhow::ensure!(
-        file.shape() == expected,
-        "{}: is {:?}, its camera {expected:?} (depth has to have the size of the picture)",
-        file.path().display(),
-        file.shape()
-    );
-    Ok(Some(file.read_f32()?))
+impl LiftArgs {
+    /// The measured depths of cameras, where there is a folder of them.
+    pub(super) fn measured_depths(
+        &self,
+        session: &Session<'_>,
+        cameras: &[&str],
+    ) -> Result<MeasuredDepths> {
+        let DepthArg::Folder(folder) = &self.depth else {
+            return Ok(MeasuredDepths {
+                files: vec![None; cameras.len()],
+                scale: self.depth_scale,
+            });
+        };
+        let files = FrameFiles::open(folder, DEPTHS).context("--depth")?;
+        let found = files.find(cameras)?;
+        anyhow::ensure!(
+            found.num_found() > 0,
+            "--depth {}: holds the depth of none of the {} cameras ({:?}, …)",
+            folder.display(),
+            cameras.len(),
+            cameras.first().unwrap_or(&"")
+        );
+        session.tell_found("depth", &found);
+        let files = found.files.iter().map(|file| file.map(|file| files.path(file))).collect();
+        Ok(MeasuredDepths { files, scale: self.depth_scale })
+    }
 }

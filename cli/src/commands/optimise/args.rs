@@ -1,10 +1,13 @@
 //! The flags of `optimise`.
 
+use crate::commands::render::parse_color;
 use crate::flags::{Shared, parse_positive};
 use clap::ValueEnum;
 use scenesplat::memory::Bytes;
 use scenesplat::optimisation::cost::set_cap;
-use scenesplat::optimisation::{DepthKind, DepthTerm, OptimiseSettings, SsimPadding, StepOrder};
+use scenesplat::optimisation::{
+    Background, DepthKind, DepthTerm, OptimiseSettings, SsimPadding, StepOrder,
+};
 use std::path::PathBuf;
 
 /// Makes a scene of Gaussians from posed pictures: writes scene.ply, optimise.json, progress.jsonl, pictures
@@ -16,7 +19,7 @@ pub struct Args {
     /// cameras.json, transforms.json or a COLMAP folder; pinhole cameras.
     #[arg(long, value_name = "PATH")]
     pub cameras: PathBuf,
-    /// Folder of the pictures, NAME.png or NAME.jpg, called as their cameras.
+    /// Folder of the pictures, PNG or JPEG, called as their cameras. Where one is transparent, nothing is there.
     #[arg(long, value_name = "DIR")]
     pub images: PathBuf,
     /// Folder of depths along the camera's axis, NAME.png of 16 bits or NAME.npy, [H, W]; 0 = unknown.
@@ -26,11 +29,16 @@ pub struct Args {
     #[arg(long, value_name = "STEPS", default_value_t = 1000.0, value_parser = parse_positive,
           requires = "depth")]
     pub depth_scale: f64,
-    /// Folder of masks, NAME.png: black pixels do not count. A picture's own transparency is a mask, too.
+    /// Folder of masks, called as the cameras: black pixels do not count.
     #[arg(long, value_name = "DIR")]
     pub masks: Option<PathBuf>,
+    /// What is behind everything, also where pictures are transparent: auto (black, and behind transparent pictures
+    /// another color at each step), random (the same behind all), black, white, or red, green and blue from 0 to 1.
+    #[arg(long, value_name = "auto|random|black|white|R,G,B", default_value = "auto",
+          value_parser = parse_background)]
+    pub background: Background,
     /// A scene or point cloud to begin with. [default: points of the COLMAP model, else the depths, else
-    /// random points]
+    /// random points where the cameras look]
     #[arg(long, value_name = "PATH")]
     pub points: Option<PathBuf>,
     /// Most Gaussians to begin with, where they come from depths or are random.
@@ -165,6 +173,18 @@ fn parse_weight(text: &str) -> Result<f32, String> {
     value.ok_or_else(|| format!("{text:?}: a weight is a number of at least 0"))
 }
 
+fn parse_background(text: &str) -> Result<Background, String> {
+    match text {
+        "auto" => Ok(Background::Auto),
+        "random" => Ok(Background::Random),
+        "black" => Ok(Background::Fixed([0.0; 3])),
+        "white" => Ok(Background::Fixed([1.0; 3])),
+        _ => parse_color(text)
+            .map(Background::Fixed)
+            .map_err(|problem| format!("{problem}, or one of auto, random, black, white")),
+    }
+}
+
 impl Args {
     /// A flag about the depth loss where there is none: what to say.
     pub(super) fn idle_depth_flag(&self, settings: &OptimiseSettings) -> Option<String> {
@@ -210,6 +230,7 @@ impl Args {
         s.half_steps = self.half_steps.unwrap_or(s.half_steps);
         s.antialiased = self.antialiased.unwrap_or(s.antialiased);
         s.exposure = self.exposure == ExposureArg::On;
+        s.background = self.background;
         s.seed = self.seed;
         s.ssim_border = self.ssim_border.map_or(s.ssim_border, |border| match border {
             BorderArg::Valid => SsimPadding::Valid,

@@ -4,12 +4,12 @@ use super::Args;
 use crate::session::Session;
 use anyhow::{Context, Result};
 use scenesplat::optimisation::frame::scale_of_cameras;
-use scenesplat::optimisation::initial::{from_points, random_points};
+use scenesplat::optimisation::initial::{Cloud, InitialSettings, from_points};
 use scenesplat::optimisation::{
-    CaptureFolder, Model, OptimiseSettings, TrainingFrame, fused_points,
+    CaptureFolder, Model, OptimiseSettings, TrainingFrame, fused_points, points_in_view, thin,
 };
 use scenesplat::scene::gaussian_scene::SH_C0;
-use scenesplat::scene::{ReadOptions, SparsePoints, open_cameras};
+use scenesplat::scene::{GaussianScene, ReadOptions, Similarity, SparsePoints, open_cameras};
 
 /// What is learned from, what is tested on, and points that came with the cameras.
 pub(super) struct Frames {
@@ -18,6 +18,36 @@ pub(super) struct Frames {
     points: Option<SparsePoints>,
     /// What was subtracted from the world of the cameras; all of the above is relative to it.
     pub(super) origin: [f64; 3],
+    /// Units of the cameras that all of the above takes for 1.
+    pub(super) unit: f64,
+}
+
+impl Frames {
+    /// Where neither depths nor points say how large things are, the scale of the cameras becomes the unit: presets are
+    /// made for scenes of about that size.
+    fn with_unit(mut self, has_cloud: bool) -> Self {
+        let measured = |frame: &TrainingFrame| frame.depth.is_some();
+        let has_points = self.points.as_ref().is_some_and(|points| !points.coord.is_empty());
+        if has_cloud || has_points || self.train.iter().any(measured) {
+            return self;
+        }
+        self.unit = scale_of_cameras(&self.train);
+        for frame in self.train.iter_mut().chain(&mut self.test) {
+            for row in &mut frame.view.world_to_camera {
+                row[3] = (f64::from(row[3]) / self.unit) as f32;
+            }
+        }
+        self
+    }
+
+    /// A scene in the coordinates of the cameras' file.
+    pub(super) fn placed(&self, mut scene: GaussianScene) -> GaussianScene {
+        if self.unit != 1.0 {
+            scene.transform(&Similarity { scale: self.unit, ..Similarity::IDENTITY });
+        }
+        scene.origin = self.origin;
+        scene
+    }
 }
 
 impl Args {
@@ -39,6 +69,9 @@ impl Args {
             depth_scale: self.depth_scale,
         };
         let capture = folder.read(&set)?;
+        for (what, found) in &capture.found {
+            session.tell_found(what, found);
+        }
         for note in &capture.notes {
             session.progress.say(note);
             session.receipt.warning(note);
@@ -68,7 +101,17 @@ impl Args {
         let text = format!("{} frames to learn from, {} to test with", train.len(), test.len());
         session.progress.say(&text);
         session.receipt.setting("frames", train.len(), &text);
-        Ok(Frames { train, test, points: set.points, origin })
+        let frames = Frames { train, test, points: set.points, origin, unit: 1.0 };
+        let frames = frames.with_unit(self.points.is_some());
+        if frames.unit != 1.0 {
+            let text = format!(
+                "nothing says how large the scene is: {:.3} units are taken for 1",
+                frames.unit
+            );
+            session.progress.say(&text);
+            session.receipt.setting("unit", frames.unit, &text);
+        }
+        Ok(frames)
     }
 
     /// The first Gaussians, and where they come from.
@@ -79,34 +122,45 @@ impl Args {
         settings: &OptimiseSettings,
     ) -> Result<Model> {
         let _stage = session.receipt.stage("first Gaussians");
-        let most = self.initial as usize;
-        let ((points, colors), from) = if let Some(path) = &self.points {
+        let ((points, colors), from, initial) = self.first_points(session, frames, settings)?;
+        let (points, colors) = without_bad(points, colors);
+        let model = from_points(&points, &colors, &initial, self.seed)
+            .with_context(|| format!("first Gaussians from {from}"))?;
+        session.progress.say(format!("{} Gaussians to begin with, from {from}", model.len()));
+        session.receipt.setting("initial", model.len(), &from);
+        Ok(model)
+    }
+
+    /// Points, where they come from, and how their Gaussians begin.
+    fn first_points(
+        &self,
+        session: &Session<'_>,
+        frames: &Frames,
+        settings: &OptimiseSettings,
+    ) -> Result<(Cloud, String, InitialSettings)> {
+        let initial = settings.initial;
+        if let Some(path) = &self.points {
             let options = ReadOptions { sh_rest: true, ..ReadOptions::default() };
             let mut scene = session.open_with(path, &options)?.loaded.scene;
             scene.move_origin(frames.origin);
             let color = |dc: &[f32; 3]| dc.map(|v| (0.5 + SH_C0 * v).clamp(0.0, 1.0));
             let colors = scene.sh_dc.iter().map(color).collect();
-            ((scene.coord, colors), format!("points of {}", path.display()))
-        } else if let Some(sparse) = frames.points.as_ref().filter(|p| !p.coord.is_empty()) {
+            let from = format!("points of {}", path.display());
+            return Ok(((scene.coord, colors), from, initial));
+        }
+        if let Some(sparse) = frames.points.as_ref().filter(|p| !p.coord.is_empty()) {
             let coord = sparse.coord.iter().map(|p| p.map(|v| v as f32)).collect();
             let color = sparse.color.iter().map(|c| c.map(|v| f32::from(v) / 255.0)).collect();
-            ((coord, color), "points that came with the cameras".to_owned())
-        } else {
-            let fused = fused_points(&frames.train, most);
-            if fused.0.is_empty() {
-                let from =
-                    "RANDOM POINTS around the cameras: depths or a cloud (--points) are better";
-                (random_points(most, around(&frames.train), self.seed)?, from.to_owned())
-            } else {
-                (fused, "the measured depths".to_owned())
-            }
-        };
-        let (points, colors) = without_bad(points, colors);
-        let model = from_points(&points, &colors, &settings.initial, self.seed)
-            .with_context(|| format!("first Gaussians from {from}"))?;
-        session.progress.say(format!("{} Gaussians to begin with, from {from}", model.len()));
-        session.receipt.setting("initial", model.len(), &from);
-        Ok(model)
+            return Ok(((coord, color), "points that came with the cameras".to_owned(), initial));
+        }
+        let most = self.initial as usize;
+        let fused = fused_points(&frames.train, most);
+        if !fused.0.is_empty() {
+            return Ok((fused, "the measured depths".to_owned(), initial));
+        }
+        let (cloud, place) = points_in_view(&frames.train, most, self.seed)?;
+        let from = format!("{place}: depths or a cloud (--points) are better");
+        Ok((cloud, from, thin(initial)))
     }
 }
 
@@ -114,13 +168,4 @@ impl Args {
 fn without_bad(points: Vec<[f32; 3]>, colors: Vec<[f32; 3]>) -> (Vec<[f32; 3]>, Vec<[f32; 3]>) {
     let finite = |v: &[f32; 3]| v.iter().all(|v| v.is_finite());
     points.into_iter().zip(colors).filter(|(p, c)| finite(p) && finite(c)).unzip()
-}
-
-/// A box three times the size of what the cameras span, and at least of their own distance.
-fn around(frames: &[TrainingFrame]) -> [[f32; 3]; 2] {
-    let scale = scale_of_cameras(frames) as f32;
-    let n = frames.len().max(1) as f32;
-    let centres: Vec<[f32; 3]> = frames.iter().map(|f| f.view.centre()).collect();
-    let mean = [0, 1, 2].map(|k| centres.iter().map(|c| c[k]).sum::<f32>() / n);
-    [mean.map(|m| m - 3.0 * scale), mean.map(|m| m + 3.0 * scale)]
 }

@@ -69,8 +69,7 @@ pub fn run(args: &Args, line: &str) -> Result<()> {
             "the time is over at step {done} of {total}: the scene is as it is there"
         ));
     }
-    let mut kept = args.finish(&session, &optimiser, &frames, &ran)?;
-    kept.origin = frames.origin;
+    let mut kept = frames.placed(args.finish(&session, &optimiser, &frames, &ran)?);
     kept.antialiased = optimiser.settings().antialiased;
     session.write("scene.ply", |path| write_inria_ply(&kept, &[], path))?;
     session.receipt.add_rows_out(kept.len());

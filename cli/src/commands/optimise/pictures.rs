@@ -20,12 +20,14 @@ pub(super) fn compared(
     let degree = settings.sh_degree_at(optimiser.steps_done().saturating_sub(1));
     let (score, drawn) = score_frame(optimiser.model(), frame, settings, degree)?;
     let rgb = drawn.rgb.unwrap_or_default();
+    let mut truth = Vec::new();
+    frame.put_over(settings.background.shown(), &mut truth);
     let (width, height) = (frame.view.width, frame.view.height);
     let byte = |v: f32| (v.clamp(0.0, 1.0) * 255.0).round() as u8;
     let picture = RgbPicture::from_fn(3 * width, height, |x, y| {
         let at = 3 * (y * width + x % width) as usize;
         [0, 1, 2].map(|c| {
-            let (truth, result) = (frame.rgb.at(at + c), rgb[at + c]);
+            let (truth, result) = (truth[at + c], rgb[at + c]);
             match x / width {
                 0 => byte(truth),
                 1 => byte(result),

@@ -43,8 +43,10 @@ impl Args {
         let (scene, faint) = kept(&model.to_scene())?;
         let figures = json!({
             "test_psnr": mean.psnr,
+            "test_psnr_masked": mean.psnr_masked,
             "test_psnr_corrected": mean.psnr_corrected,
             "test_ssim": mean.ssim,
+            "test_ssim_masked": mean.ssim_masked,
             "depth_l1": mean.depth_l1.or(learned.depth_l1),
             "depth_l1_expected": mean.depth_l1_expected.or(learned.depth_l1_expected),
             "seconds_per_step": per_step,
@@ -53,6 +55,7 @@ impl Args {
             "gaussians": scene.len(),
             "faint": faint,
             "train_psnr": learned.psnr,
+            "train_psnr_masked": learned.psnr_masked,
             "train_psnr_corrected": learned.psnr_corrected,
             "train_ssim": learned.ssim,
             "ssim_border": optimiser.settings().ssim_border.name(),
@@ -101,7 +104,7 @@ fn scores(
     Ok((test, train))
 }
 
-/// Prints the mean scores of the test and of training.
+/// Prints the mean scores of the test and of training: of whole pictures, then of what masks leave.
 fn tell(mean: &MeanScore, learned: &MeanScore) {
     let number = |value: Option<f64>, unit: &str| {
         value.map_or_else(|| "-".to_owned(), |v| format!("{v:.3}{unit}"))
@@ -114,6 +117,14 @@ fn tell(mean: &MeanScore, learned: &MeanScore) {
         mean.frames,
         number(learned.psnr, " dB"),
     ));
+    let masked = if mean.psnr_masked.is_some() { mean } else { learned };
+    if masked.psnr_masked.is_some() {
+        print(&format!(
+            "where masks are on: {} PSNR, {} SSIM",
+            number(masked.psnr_masked, " dB"),
+            number(masked.ssim_masked, "")
+        ));
+    }
     if let Some(db) = mean.psnr_corrected.or(learned.psnr_corrected) {
         print(&format!("{db:.3} dB with the exposure of each picture fitted"));
     }

@@ -6,8 +6,8 @@ use anyhow::Result;
 use scenesplat::preview::Ceiling;
 use scenesplat::rasterizer::View;
 use scenesplat::scene::formats::cameras::write_cameras_json;
+use scenesplat::scene::frame_files::{frame_names, without_ending};
 use scenesplat::scene::{Camera, open_cameras};
-use std::collections::HashSet;
 use std::path::Path;
 
 /// A camera and the name of its picture.
@@ -49,20 +49,12 @@ pub(super) fn read(path: &Path, args: &Args) -> Result<Shots> {
         // Lenses that cannot be drawn are said before a large scene is read.
         View::from_camera(camera)?;
     }
-    let mut taken = HashSet::new();
-    let list = cameras
-        .into_iter()
-        .map(|(index, camera)| {
-            let mut name = picture_name(&camera.name, index);
-            if !taken.insert(name.clone()) {
-                // Folders of several lenses often number their pictures alike.
-                name = format!("{name}_{index:05}");
-                taken.insert(name.clone());
-            }
-            let camera = args.size.map_or(camera.clone(), |size| camera.resized(size));
-            Shot { name, camera, index }
-        })
-        .collect();
+    let names = frame_names(cameras.iter().map(|(index, camera)| (*index, camera.name.as_str())));
+    let shot = |((index, camera), name): ((usize, &Camera), String)| {
+        let camera = args.size.map_or(camera.clone(), |size| camera.resized(size));
+        Shot { name, camera, index }
+    };
+    let list = cameras.into_iter().zip(names).map(shot).collect();
     Ok(Shots { list, near: None, ceiling: None, notes: set.notes })
 }
 
@@ -92,41 +84,4 @@ fn find<'a>(cameras: &'a [Camera], wanted: &str, path: &Path) -> Result<(usize, 
         );
         WrongUse(text).into()
     })
-}
-
-/// Endings of pictures; whatever else follows a dot is part of a name (`frame.0001`).
-const PICTURE_ENDINGS: [&str; 12] =
-    ["png", "jpg", "jpeg", "webp", "tif", "tiff", "bmp", "exr", "heic", "dng", "gif", "ppm"];
-
-fn without_ending(file: &str) -> &str {
-    match file.rsplit_once('.') {
-        Some((stem, ending)) if PICTURE_ENDINGS.iter().any(|e| ending.eq_ignore_ascii_case(e)) => {
-            stem
-        }
-        _ => file,
-    }
-}
-
-/// The name of a picture without folder and ending, fit for a file name.
-pub fn picture_name(name: &str, index: usize) -> String {
-    let file = name.rsplit(['/', '\\']).next().unwrap_or(name);
-    let fit = |c: char| if c.is_control() || ":*?\"<>|".contains(c) { '_' } else { c };
-    let name: String = without_ending(file).chars().map(fit).collect();
-    if name.chars().all(|c| c == '.') { format!("camera_{index:05}") } else { name }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn names_fit_into_a_folder() {
-        assert_eq!(picture_name("images/left/0001.jpg", 4), "0001");
-        assert_eq!(picture_name("..", 4), "camera_00004");
-        assert_eq!(picture_name("", 12), "camera_00012");
-        assert_eq!(picture_name("a:b\\c?.png", 0), "c_");
-        assert_eq!(picture_name("left/frame.0001", 0), "frame.0001");
-        assert_eq!(picture_name("frame.0001.JPEG", 0), "frame.0001");
-        assert_eq!(picture_name("v1.2/scan.left.png", 0), "scan.left");
-    }
 }

@@ -11,11 +11,10 @@ use crate::session::Session;
 use anyhow::{Context, Result};
 pub use args::Args;
 use args::PlanArg;
-pub(super) use cameras::picture_name;
 use cameras::{Shot, Shots};
 use clap::ValueEnum;
 use effects::Effects;
-pub(super) use parse::{parse_fov, parse_size};
+pub(super) use parse::{parse_color, parse_fov, parse_size};
 use scenesplat::datasets::effects::pictures::DrawnPicture;
 use scenesplat::preview::{depth_picture, depth_steps, picture_of, write_png, write_png16};
 use scenesplat::rasterizer::{

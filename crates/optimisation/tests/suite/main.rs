@@ -3,6 +3,8 @@
 
 mod adam;
 mod losses;
+mod objects;
 mod pieces;
 mod support;
 mod training;
+mod transparent;

@@ -2,8 +2,8 @@
 
 use crate::support::{golden, number};
 use scenesplat_optimisation::{
-    BaseRates, Colors, McmcSettings, Model, OptimiseError, OptimiseSettings, Optimiser, SceneScale,
-    SsimPadding, StepOrder, Stored, Strategy, TrainingFrame, newest_checkpoint,
+    Background, BaseRates, Colors, McmcSettings, Model, OptimiseError, OptimiseSettings, Optimiser,
+    SceneScale, SsimPadding, StepOrder, Stored, Strategy, TrainingFrame, newest_checkpoint,
 };
 use scenesplat_rasterizer::View;
 use scenesplat_test_support::{Golden, compare_relative as compare};
@@ -27,6 +27,7 @@ fn frames(golden: &Golden) -> Vec<TrainingFrame> {
             name: format!("frame {i}"),
             view,
             rgb: Colors::Floats(rgb.to_vec()),
+            alpha: None,
             depth: None,
             mask: None,
         }
@@ -104,7 +105,7 @@ fn lively(order: StepOrder, exposure: bool) -> OptimiseSettings {
         exposure,
         sh_every: 4,
         steps: 40,
-        random_background: true,
+        background: Background::Random,
         ..settings()
     }
 }

@@ -46,7 +46,7 @@ pub use finalise::{BlockFeatures, FinaliseSettings, finalise_block};
 pub use fusion::{FrameWeight, FusedFeatures, fuse_crops};
 pub use lifter::{LabelledPicture, LiftSettings, Lifter, PictureReport, Robust};
 pub use panes::Panes;
-pub use segment_map::{NO_SEGMENT, SegmentMap, is_scaled};
+pub use segment_map::{NO_SEGMENT, SegmentMap};
 pub use spool::{BlockWeights, SegmentWeight, WeightSpool};
 pub use tables::SegmentTables;
 pub use view_weights::{DepthTolerance, LabelledView, LiftRule, ViewWeights, view_weights};

@@ -1,6 +1,7 @@
 //! Which segment each pixel of a picture belongs to.
 
 use super::LiftError;
+use scenesplat_scene::picture::nearest;
 
 /// The id of a pixel that belongs to no segment.
 pub const NO_SEGMENT: u16 = u16::MAX;
@@ -60,30 +61,11 @@ impl SegmentMap {
         largest.map_or(0, |&id| usize::from(id) + 1)
     }
 
-    /// The map at another size: each pixel takes the id of the pixel its center falls into.
-    ///
-    /// For pictures that were made smaller or larger as a whole before they were cut into segments:
-    /// `None` unless both sides were scaled by the same factor, to within a pixel of rounding.
+    /// The map at another size, by [nearest pixel](nearest), for pictures that were made smaller or larger as a
+    /// whole before they were cut into segments: `None` unless the shape is the same.
     pub fn resized(&self, width: u32, height: u32) -> Option<Self> {
-        if (width, height) == (self.width, self.height) {
-            return Some(self.clone());
-        }
-        if [width, height, self.width, self.height].contains(&0) {
-            return None;
-        }
-        if !is_scaled([self.width, self.height], [width, height]) {
-            return None;
-        }
-        let place = |i: u32, from: u32, to: u32| {
-            // (i + ½) · from / to, in whole numbers; below `from` because i < to.
-            ((2 * u64::from(i) + 1) * u64::from(from) / (2 * u64::from(to))) as usize
-        };
-        let columns: Vec<usize> = (0..width).map(|x| place(x, self.width, width)).collect();
-        let mut ids = Vec::with_capacity(width as usize * height as usize);
-        for y in 0..height {
-            let start = place(y, self.height, height) * self.width as usize;
-            ids.extend(columns.iter().map(|x| self.ids[start + x]));
-        }
+        let (from, to) = ([self.width, self.height], [width, height]);
+        let ids = nearest(self.ids.clone(), from, to)?;
         Some(Self { width, height, ids })
     }
 
@@ -126,16 +108,6 @@ impl SegmentMap {
         }
         Self { width: self.width, height: self.height, ids }
     }
-}
-
-/// Whether two sizes are those of one picture at two scales: both sides by one factor, to within a pixel of
-/// rounding. Sides are not 0.
-pub fn is_scaled(from: [u32; 2], to: [u32; 2]) -> bool {
-    // A side of the smaller picture, scaled as the other side, was rounded to whole pixels.
-    let (small, large) = if to[0] <= from[0] { (to, from) } else { (from, to) };
-    let [small, large] = [small, large].map(|side| side.map(f64::from));
-    let off = |a: usize, b: usize| (large[a] * small[b] / large[b] - small[a]).abs();
-    off(0, 1).min(off(1, 0)) < 1.0
 }
 
 #[cfg(test)]

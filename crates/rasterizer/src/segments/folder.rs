@@ -4,8 +4,13 @@ use super::feature_table::{FeatureTable, read_feature_table};
 use super::id_map::read_id_png;
 use super::langsplat::{MAX_LEVELS, read_id_maps};
 use crate::lifting::{LiftError, SegmentMap};
-use std::collections::{BTreeMap, BTreeSet};
+use scenesplat_scene::frame_files::{EXACT_PICTURES, FoundFiles, FrameFiles, without_ending};
+use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
+
+/// What to do about a folder that is none.
+const LAYOUTS: &str = "see the layouts of segment folders: <frame>_s.npy with <frame>_f.npy, or <frame>.png with \
+                       <frame>.npy or features.npy";
 
 /// How a folder's files are laid out.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -23,7 +28,7 @@ pub enum SegmentLayout {
 pub struct SegmentOptions {
     /// Granularities, in the order wanted; level 0 is all that PNG maps have. At most 4.
     pub levels: Vec<usize>,
-    /// Value of PNG pixels without a segment; by default the largest, 255 or 65535.
+    /// Value of PNG pixels without a segment; by default 255, or 65535 of 16 bits.
     pub png_no_segment: Option<u16>,
 }
 
@@ -50,14 +55,15 @@ pub struct SegmentFolder {
     path: PathBuf,
     layout: SegmentLayout,
     options: SegmentOptions,
-    /// In alphabetical order.
+    /// The maps.
+    files: FrameFiles,
+    /// Of each map.
     frames: Vec<Frame>,
     shared: Option<FeatureTable>,
 }
 
 #[derive(Debug, Clone)]
 struct Frame {
-    name: String,
     map: PathBuf,
     /// None where one table serves all.
     table: Option<PathBuf>,
@@ -67,15 +73,20 @@ struct Frame {
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct CameraMatches {
     /// Frame of each camera, if it has one.
-    pub frames: Vec<Option<usize>>,
+    pub found: FoundFiles,
     /// Names of frames without a camera.
     pub without_camera: Vec<String>,
 }
 
 impl CameraMatches {
+    /// Frame of each camera, if it has one.
+    pub fn frames(&self) -> &[Option<usize>] {
+        &self.found.files
+    }
+
     /// Cameras that have a frame.
     pub fn num_matched(&self) -> usize {
-        self.frames.iter().flatten().count()
+        self.found.num_found()
     }
 }
 
@@ -83,56 +94,65 @@ impl SegmentFolder {
     /// Finds the frames of a folder; reads a table that serves all of them.
     ///
     /// A folder with any `<frame>_s.npy` has the layout of `.npy` files, and pictures in it are
-    /// previews.
+    /// previews. Folders below are looked into if there is no map beside them.
     ///
     /// # Errors
     /// If the folder cannot be read, holds no maps, or a map has no feature table; if levels are
     /// asked for that cannot be there.
     pub fn open(path: &Path, options: SegmentOptions) -> Result<Self, LiftError> {
         check_levels(&options)?;
-        let names = file_names(path)?;
-        let help = "see the layouts of segment folders: <frame>_s.npy with <frame>_f.npy, or \
-                     <frame>.png with <frame>.npy or features.npy";
-        let maps: Vec<&str> = names.iter().filter_map(|n| n.strip_suffix("_s.npy")).collect();
+        let maps = FrameFiles::open(path, &["_s.npy"])?.at_top();
         if !maps.is_empty() {
-            let frame = |name: &&str| {
-                let table = format!("{name}_f.npy");
-                if !names.contains(&table) {
-                    let map = path.join(format!("{name}_s.npy"));
-                    return Err(LiftError::file(&map, format!("has no {table} beside it"), help));
-                }
-                let map = path.join(format!("{name}_s.npy"));
-                Ok(Frame { name: (*name).to_owned(), map, table: Some(path.join(table)) })
+            let frame = |i: usize| {
+                let map = maps.path(i);
+                let name = file_stem(&maps, i);
+                let table = beside(&map, &[format!("{name}_f.npy")]);
+                let Some(table) = table else {
+                    let problem = format!("has no {name}_f.npy beside it");
+                    return Err(LiftError::file(&map, problem, LAYOUTS));
+                };
+                Ok(Frame { map, table: Some(table) })
             };
-            let frames = maps.iter().map(frame).collect::<Result<_, _>>()?;
+            let frames = (0..maps.len()).map(frame).collect::<Result<_, _>>()?;
             let layout = SegmentLayout::Npy;
-            return Ok(Self { path: path.to_owned(), layout, options, frames, shared: None });
+            return Ok(Self {
+                path: path.to_owned(),
+                layout,
+                options,
+                files: maps,
+                frames,
+                shared: None,
+            });
         }
-        let maps: Vec<&str> = names.iter().filter_map(|n| n.strip_suffix(".png")).collect();
+        Self::of_pictures(path, options)
+    }
+
+    fn of_pictures(path: &Path, options: SegmentOptions) -> Result<Self, LiftError> {
+        let maps = FrameFiles::open(path, EXACT_PICTURES)?.at_top();
         if maps.is_empty() {
-            return Err(LiftError::file(path, "holds no maps of segments", help));
+            return Err(LiftError::file(path, "holds no maps of segments", LAYOUTS));
         }
         if options.levels != [0] {
             let problem = format!("levels {:?} of PNG maps, which have level 0", options.levels);
             return Err(LiftError::argument("level", problem));
         }
-        let table_of = |name: &str| {
-            let mut endings = ["npy", "safetensors"].iter().map(|e| format!("{name}.{e}"));
-            endings.find(|file| names.contains(file)).map(|file| path.join(file))
-        };
-        let shared = table_of("features").map(|file| read_feature_table(&file)).transpose()?;
-        let frame = |name: &&str| {
-            let map = path.join(format!("{name}.png"));
-            let table = if shared.is_some() { None } else { table_of(name) };
+        let shared = beside(&path.join("maps"), &tables_of("features"));
+        let shared = shared.map(|file| read_feature_table(&file)).transpose()?;
+        let frame = |i: usize| {
+            let map = maps.path(i);
+            let name = file_stem(&maps, i);
+            // COLMAP's NAME.jpg.png may have NAME.npy beside it.
+            let names = [tables_of(&name), tables_of(without_ending(&name))].concat();
+            let table = if shared.is_some() { None } else { beside(&map, &names) };
             if table.is_none() && shared.is_none() {
-                return Err(LiftError::file(&map, "has no feature table beside it", help));
+                return Err(LiftError::file(&map, "has no feature table beside it", LAYOUTS));
             }
-            Ok(Frame { name: (*name).to_owned(), map, table })
+            Ok(Frame { map, table })
         };
-        let frames = maps.iter().map(frame).collect::<Result<_, _>>()?;
+        let frames = (0..maps.len()).map(frame).collect::<Result<_, _>>()?;
         let layout =
             if shared.is_some() { SegmentLayout::PngSharedTable } else { SegmentLayout::Png };
-        Ok(Self { path: path.to_owned(), layout, options, frames, shared })
+        Ok(Self { path: path.to_owned(), layout, options, files: maps, frames, shared })
     }
 
     /// How its files are laid out.
@@ -150,56 +170,36 @@ impl SegmentFolder {
         self.frames.is_empty()
     }
 
-    /// Name of a frame.
-    pub fn name(&self, frame: usize) -> &str {
-        &self.frames[frame].name
+    /// Name of a frame: that of its map without its ending, behind the folders below this one.
+    pub fn name(&self, frame: usize) -> String {
+        self.files.stem(frame)
     }
 
-    /// Finds the frame of each camera by name: the camera's file name, without its last ending, or up
-    /// to its first dot; folders in it do not count.
+    /// Finds the frame of each camera by the names, as of [all files of cameras](scenesplat_scene::frame_files).
     ///
     /// # Errors
     /// If two cameras mean one frame, or no camera has any.
     pub fn match_cameras(&self, cameras: &[&str]) -> Result<CameraMatches, LiftError> {
-        let by_name: BTreeMap<&str, usize> =
-            self.frames.iter().enumerate().map(|(i, f)| (f.name.as_str(), i)).collect();
-        let mut taken: BTreeMap<usize, &str> = BTreeMap::new();
-        let mut frames = Vec::with_capacity(cameras.len());
-        for &camera in cameras {
-            let file = camera.rsplit(['/', '\\']).next().unwrap_or(camera);
-            let stem = file.rsplit_once('.').map_or(file, |(stem, _)| stem);
-            let start = file.split('.').next().unwrap_or(file);
-            let found = [file, stem, start].iter().find_map(|name| by_name.get(name)).copied();
-            if let Some(frame) = found
-                && let Some(other) = taken.insert(frame, camera)
-            {
-                let problem = format!(
-                    "frame {:?} belongs to two cameras, {other:?} and {camera:?}",
-                    self.frames[frame].name
-                );
-                return Err(LiftError::file(
-                    &self.path,
-                    problem,
-                    "give pictures names of their own",
-                ));
-            }
-            frames.push(found);
+        let found = self.files.find(cameras)?;
+        let mut taken = BTreeSet::new();
+        if let Some(twice) = found.files.iter().flatten().find(|frame| !taken.insert(**frame)) {
+            let problem =
+                format!("frame {:?} belongs to two cameras of one name", self.name(*twice));
+            return Err(LiftError::file(&self.path, problem, "give pictures names of their own"));
         }
         if taken.is_empty() {
             let problem = format!(
                 "none of its {} frames ({:?}, …) has the name of one of the {} cameras ({:?}, …)",
                 self.len(),
-                self.frames[0].name,
+                self.name(0),
                 cameras.len(),
                 cameras.first().unwrap_or(&"")
             );
             return Err(LiftError::file(&self.path, problem, "name frames as their pictures"));
         }
-        let without_camera = (self.frames.iter().enumerate())
-            .filter(|(i, _)| !taken.contains_key(i))
-            .map(|(_, frame)| frame.name.clone())
-            .collect();
-        Ok(CameraMatches { frames, without_camera })
+        let others = (0..self.len()).filter(|frame| !taken.contains(frame));
+        let without_camera = others.map(|frame| self.name(frame)).collect();
+        Ok(CameraMatches { found, without_camera })
     }
 
     /// Reads a frame, at the size of its picture.
@@ -247,14 +247,17 @@ fn check_levels(options: &SegmentOptions) -> Result<(), LiftError> {
     Ok(())
 }
 
-/// Names of the files in a folder; names that are no Unicode cannot be those of frames.
-fn file_names(path: &Path) -> Result<BTreeSet<String>, LiftError> {
-    let failed = || LiftError::spool(path, "cannot read the folder of segments");
-    let mut names = BTreeSet::new();
-    for entry in std::fs::read_dir(path).map_err(failed())? {
-        if let Ok(name) = entry.map_err(failed())?.file_name().into_string() {
-            names.insert(name);
-        }
-    }
-    Ok(names)
+/// The name of a map without its ending and its folders.
+fn file_stem(maps: &FrameFiles, i: usize) -> String {
+    let stem = maps.stem(i);
+    stem.rsplit('/').next().unwrap_or(&stem).to_owned()
+}
+
+fn tables_of(name: &str) -> Vec<String> {
+    ["npy", "safetensors"].map(|ending| format!("{name}.{ending}")).to_vec()
+}
+
+/// The first of these files that is in the folder of another.
+fn beside(file: &Path, names: &[String]) -> Option<PathBuf> {
+    names.iter().map(|name| file.with_file_name(name)).find(|path| path.is_file())
 }

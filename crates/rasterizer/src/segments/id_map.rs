@@ -1,18 +1,20 @@
-//! Maps of segment ids as gray PNG.
+//! Maps of segment ids as gray or palette PNG.
 
 use crate::lifting::{LiftError, NO_SEGMENT, SegmentMap};
-use scenesplat_scene::picture::{Channels, Samples, read_png};
+use scenesplat_scene::picture::{Channels, Samples, read_png_numbers};
 use std::path::Path;
 
-/// Reads a gray PNG of 8 or 16 bits, each value an id. Gives width, height, the values, and the largest that there can be.
+/// Reads a gray PNG, each value an id, or one with a palette, each index an id. Gives width, height, the values, and
+/// the value of pixels without a segment unless another is given: 65535 of 16 bits, else 255.
 ///
 /// # Errors
 /// If it cannot be read, or has other channels.
 pub fn read_ids(path: &Path) -> Result<(u32, u32, Vec<u16>, u16), LiftError> {
-    let picture = read_png(path)?;
+    let picture = read_png_numbers(path)?;
     let (width, height, channels) = (picture.width(), picture.height(), picture.channels());
     if channels != Channels::Gray {
-        let help = "a gray PNG of 8 or 16 bits is expected, each value an id";
+        let help =
+            "a gray PNG of up to 16 bits, or one with a palette, is expected: each value is an id";
         return Err(LiftError::file(path, format!("holds {channels:?} pixels"), help));
     }
     Ok(match picture.into_samples() {
@@ -23,7 +25,7 @@ pub fn read_ids(path: &Path) -> Result<(u32, u32, Vec<u16>, u16), LiftError> {
     })
 }
 
-/// Reads ids below `segments`; `none` is the value of pixels without one, by default the largest.
+/// Reads ids below `segments`; `none` is the value of pixels without one, by default 255, or 65535 of 16 bits.
 pub(super) fn read_id_png(
     path: &Path,
     segments: usize,

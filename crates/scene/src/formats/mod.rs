@@ -5,6 +5,7 @@
 pub mod cameras;
 mod color_columns;
 pub mod compressed_ply;
+pub mod depth_map;
 pub(crate) mod files;
 pub mod gltf;
 pub mod inria_ply;

@@ -7,9 +7,11 @@ pub(crate) mod jpeg;
 mod orientation;
 mod png;
 mod rgb;
+mod sampling;
 
 pub use orientation::orientation;
 pub use rgb::RgbPicture;
+pub use sampling::{is_one_shape, is_scaled, nearest};
 
 use crate::SceneError;
 use crate::input_file::InputFile;
@@ -124,9 +126,29 @@ impl Picture {
     pub fn to_rgb8(&self) -> RgbPicture {
         let flat = match &self.samples {
             Samples::Eight(v) => self.rgb(v, |s| s),
-            Samples::Sixteen(v) => self.rgb(v, |s| ((u32::from(s) + 128) / 257) as u8),
+            Samples::Sixteen(v) => self.rgb(v, eight_bits),
         };
         RgbPicture::of(self.width, self.height, flat.as_chunks::<3>().0.to_vec())
+    }
+
+    /// Opacity from 0 to 255, `[H, W]`; of 16 bits the nearest of 8 are kept. `None` if all of it is opaque.
+    pub fn alpha8(&self) -> Option<Vec<u8>> {
+        let n = self.channels.count();
+        self.is_transparent().then(|| match &self.samples {
+            Samples::Eight(v) => v.chunks_exact(n).map(|p| p[n - 1]).collect(),
+            Samples::Sixteen(v) => v.chunks_exact(n).map(|p| eight_bits(p[n - 1])).collect(),
+        })
+    }
+
+    /// Red, green and blue from 0 to 255 on a black background: each times the opacity of its pixel.
+    pub fn over_black(&self) -> RgbPicture {
+        let mut flat = self.to_rgb8();
+        if let Some(alpha) = self.alpha8() {
+            for (pixel, &a) in flat.pixels_mut().iter_mut().zip(&alpha) {
+                *pixel = pixel.map(|v| ((u32::from(v) * u32::from(a) + 127) / 255) as u8);
+            }
+        }
+        flat
     }
 
     fn rgb<S: Copy, T: Copy>(&self, samples: &[S], value: impl Fn(S) -> T) -> Vec<T> {
@@ -138,6 +160,11 @@ impl Picture {
         let pixel = |p: &[S]| places.map(|c| value(p[c]));
         samples.chunks_exact(n).flat_map(pixel).collect()
     }
+}
+
+/// The nearest value of 8 bits.
+fn eight_bits(value: u16) -> u8 {
+    ((u32::from(value) + 128) / 257) as u8
 }
 
 /// Reads a PNG or JPEG picture, told apart by its first bytes.
@@ -159,6 +186,19 @@ pub fn read_png(path: &Path) -> Result<Picture, SceneError> {
         return Err(SceneError::format(path, "is no PNG", ""));
     }
     png::decode(file.bytes(), path)
+}
+
+/// Reads a PNG picture whose values are numbers, as they are stored: those of a palette are the indices into it, and
+/// of fewer than 8 bits nothing is spread. Of both kinds one gray picture of 8 bits is given.
+///
+/// # Errors
+/// As [`read_png`].
+pub fn read_png_numbers(path: &Path) -> Result<Picture, SceneError> {
+    let file = InputFile::open(path)?;
+    if !png::is_png(file.bytes()) {
+        return Err(SceneError::format(path, "is no PNG", ""));
+    }
+    png::decode_numbers(file.bytes(), path)
 }
 
 /// As [`read_picture`], from the bytes of a file; `path` is for messages.

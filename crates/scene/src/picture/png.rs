@@ -15,7 +15,21 @@ pub(super) fn is_png(bytes: &[u8]) -> bool {
     bytes.starts_with(b"\x89PNG\r\n\x1a\n")
 }
 
+/// Palettes become colors, fewer than 8 bits become 8.
 pub(super) fn decode(bytes: &[u8], path: &Path) -> Result<Picture, SceneError> {
+    decode_as(bytes, path, Transformations::EXPAND)
+}
+
+/// Palettes become the indices into them, fewer than 8 bits stay the numbers that they are.
+pub(super) fn decode_numbers(bytes: &[u8], path: &Path) -> Result<Picture, SceneError> {
+    decode_as(bytes, path, Transformations::IDENTITY)
+}
+
+fn decode_as(
+    bytes: &[u8],
+    path: &Path,
+    transformations: Transformations,
+) -> Result<Picture, SceneError> {
     let bad = |e: png::DecodingError| {
         SceneError::format(path, format!("is no PNG that can be read: {e}"), "")
     };
@@ -27,8 +41,7 @@ pub(super) fn decode(bytes: &[u8], path: &Path) -> Result<Picture, SceneError> {
         check_size(width.into(), height.into(), path)?;
     }
     let mut decoder = png::Decoder::new(Cursor::new(bytes));
-    // Palettes become colors, fewer than 8 bits become 8.
-    decoder.set_transformations(Transformations::EXPAND);
+    decoder.set_transformations(transformations);
     decoder.set_ignore_text_chunk(true);
     let mut reader = decoder.read_info().map_err(bad)?;
     let (width, height) = reader.info().size();
@@ -45,14 +58,15 @@ pub(super) fn decode(bytes: &[u8], path: &Path) -> Result<Picture, SceneError> {
     let info = reader.next_frame(&mut buffer).map_err(bad)?;
     buffer.truncate(info.buffer_size());
     let channels = match info.color_type {
-        ColorType::Grayscale => Channels::Gray,
+        ColorType::Grayscale | ColorType::Indexed => Channels::Gray,
         ColorType::GrayscaleAlpha => Channels::GrayAlpha,
         ColorType::Rgb => Channels::Rgb,
         ColorType::Rgba => Channels::Rgba,
-        ColorType::Indexed => {
-            return Err(SceneError::format(path, "holds numbers of a palette only", ""));
-        }
     };
+    let bits = info.bit_depth as usize;
+    if bits < 8 {
+        buffer = unpacked(&buffer, info.line_size, width as usize, bits);
+    }
     let samples = if info.bit_depth == BitDepth::Sixteen {
         Samples::Sixteen(buffer.as_chunks::<2>().0.iter().map(|s| u16::from_be_bytes(*s)).collect())
     } else {
@@ -61,6 +75,17 @@ pub(super) fn decode(bytes: &[u8], path: &Path) -> Result<Picture, SceneError> {
     Picture::new(width, height, channels, samples).ok_or_else(|| {
         SceneError::format(path, "is no PNG that can be read: pixels are missing", "")
     })
+}
+
+/// Numbers of 1, 2 or 4 bits, the first of a byte in its upper bits; every row begins with a byte of its own.
+fn unpacked(packed: &[u8], line: usize, width: usize, bits: usize) -> Vec<u8> {
+    let largest = (1u8 << bits) - 1;
+    let number = move |row: &[u8], x: usize| {
+        let from_left = x * bits % 8;
+        (row[x * bits / 8] >> (8 - bits - from_left)) & largest
+    };
+    let rows = packed.chunks_exact(line.max(1));
+    rows.flat_map(|row| (0..width).map(move |x| number(row, x))).collect()
 }
 
 pub(super) fn encode(picture: &Picture) -> std::io::Result<Vec<u8>> {

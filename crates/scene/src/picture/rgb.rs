@@ -51,6 +51,11 @@ impl RgbPicture {
         &self.pixels
     }
 
+    /// All pixels, to change them.
+    pub(super) fn pixels_mut(&mut self) -> &mut [[u8; 3]] {
+        &mut self.pixels
+    }
+
     /// All pixels with column and row.
     pub fn enumerate(&self) -> impl Iterator<Item = (u32, u32, [u8; 3])> {
         let width = self.width as usize;

@@ -2,6 +2,7 @@
 
 use scenesplat_scene::picture::{
     Channels, MAX_PIXELS, Picture, RgbPicture, Samples, decode_picture, read_picture, read_png,
+    read_png_numbers,
 };
 use std::path::Path;
 
@@ -166,4 +167,73 @@ fn files_are_told_apart_by_content() {
     assert_eq!(read_picture(&path).unwrap().to_rgb8().get(0, 0), Some([51; 3]));
     assert!(read_png(&path).unwrap_err().to_string().contains("is no PNG"));
     assert!(read_picture(dir.path()).is_err());
+}
+
+/// A PNG of 5 × 3 numbers below `2^bits`, with a palette whose colors say nothing about their place, or gray.
+fn png_of_numbers(bits: u8, has_palette: bool) -> (Vec<u8>, Vec<u8>) {
+    let largest = ((1u16 << bits) - 1) as u8;
+    let numbers: Vec<u8> = (0..15u8).map(|i| i.wrapping_mul(37) & largest).collect();
+    let mut packed = Vec::new();
+    for row in numbers.chunks(5) {
+        let text: String =
+            row.iter().map(|v| format!("{v:0width$b}", width = bits.into())).collect();
+        let text = format!("{text:0<width$}", width = text.len().div_ceil(8) * 8);
+        let byte = |bits: &[u8]| u8::from_str_radix(std::str::from_utf8(bits).unwrap(), 2).unwrap();
+        packed.extend(text.as_bytes().chunks(8).map(byte));
+    }
+    let mut out = Vec::new();
+    let mut encoder = png::Encoder::new(&mut out, 5, 3);
+    encoder.set_color(if has_palette {
+        png::ColorType::Indexed
+    } else {
+        png::ColorType::Grayscale
+    });
+    encoder.set_depth(png::BitDepth::from_u8(bits).unwrap());
+    if has_palette {
+        encoder.set_palette((0..=largest).flat_map(|i| [255 - i, 7, 99]).collect::<Vec<u8>>());
+        encoder.set_trns(vec![0, 128]);
+    }
+    encoder.write_header().unwrap().write_image_data(&packed).unwrap();
+    (out, numbers)
+}
+
+/// Ids are the numbers that a file stores: the indices of a palette, and of few bits nothing is spread.
+#[test]
+fn numbers_are_read_as_they_are_stored() {
+    let dir = tempfile::tempdir().unwrap();
+    let path = dir.path().join("ids.png");
+    for bits in [1, 2, 4, 8] {
+        for has_palette in [false, true] {
+            let (file, numbers) = png_of_numbers(bits, has_palette);
+            std::fs::write(&path, file).unwrap();
+            let picture = read_png_numbers(&path).unwrap();
+            assert_eq!((picture.width(), picture.height()), (5, 3));
+            assert_eq!(picture.channels(), Channels::Gray, "{bits} bits, palette: {has_palette}");
+            assert_eq!(picture.into_samples(), Samples::Eight(numbers));
+        }
+    }
+    let deep = Picture::new(2, 1, Channels::Gray, Samples::Sixteen(vec![300, 65_535])).unwrap();
+    std::fs::write(&path, deep.encode_png().unwrap()).unwrap();
+    assert_eq!(read_png_numbers(&path).unwrap(), deep);
+    std::fs::write(&path, "no picture").unwrap();
+    assert!(read_png_numbers(&path).unwrap_err().to_string().contains("ids.png"));
+}
+
+/// Where a picture is transparent nothing is there: it is black on black.
+#[test]
+fn opacity_is_given_and_applied() {
+    let rgba = Picture::new(
+        3,
+        1,
+        Channels::Rgba,
+        Samples::Eight(vec![200, 100, 50, 255, 200, 100, 50, 51, 9, 9, 9, 0]),
+    )
+    .unwrap();
+    assert_eq!(rgba.alpha8(), Some(vec![255, 51, 0]));
+    assert_eq!(rgba.over_black().pixels(), [[200, 100, 50], [40, 20, 10], [0; 3]]);
+    let deep =
+        Picture::new(1, 1, Channels::GrayAlpha, Samples::Sixteen(vec![65_535, 32_896])).unwrap();
+    assert_eq!((deep.alpha8(), deep.over_black().pixels()), (Some(vec![128]), &[[128; 3]][..]));
+    let opaque = Picture::new(1, 1, Channels::GrayAlpha, Samples::Eight(vec![7, 255])).unwrap();
+    assert_eq!((opaque.alpha8(), opaque.over_black()), (None, opaque.to_rgb8()));
 }

@@ -66,7 +66,7 @@ fn maps_of_any_number_type() {
         &features.iter().map(|v| f64::from(*v)).collect::<Vec<_>>(),
     );
     let open = SegmentFolder::open(dir.path(), options(&[2, 0])).unwrap();
-    assert_eq!((open.layout(), open.len(), open.name(1)), (SegmentLayout::Npy, 3, "b"));
+    assert_eq!((open.layout(), open.len(), open.name(1)), (SegmentLayout::Npy, 3, "b".to_owned()));
     let [a, b] = [0, 1].map(|frame| open.read(frame, W, H).unwrap());
     assert_eq!(a, b);
     assert_eq!((a.dim, &a.features), (2, &features));
@@ -128,8 +128,8 @@ fn frames_are_found_by_the_names_of_cameras() {
     let open = SegmentFolder::open(dir.path(), SegmentOptions::default()).unwrap();
     let found = open.match_cameras(&["images/frame_1.v2.jpg", "b.c.png", "none.jpg"]).unwrap();
     assert_eq!(
-        found.frames.iter().map(|f| f.map(|f| open.name(f))).collect::<Vec<_>>(),
-        [Some("frame_1"), Some("b.c"), None]
+        found.frames().iter().map(|f| f.map(|f| open.name(f))).collect::<Vec<_>>(),
+        [Some("frame_1".to_owned()), Some("b.c".to_owned()), None]
     );
     assert_eq!((found.num_matched(), &found.without_camera[..]), (2, &["stray".to_owned()][..]));
     assert_eq!(open.match_cameras(&[r"a\stray"]).unwrap().num_matched(), 1);
