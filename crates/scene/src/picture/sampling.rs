@@ -83,6 +83,9 @@ mod tests {
         let twice = nearest(map.clone(), [3, 2], [6, 4]).unwrap();
         assert_eq!(twice[..12], [0, 0, 1, 1, 2, 2, 0, 0, 1, 1, 2, 2]);
         assert_eq!(twice[12..15], [3, 3, 4]);
+        // Of two pixels among three the middle one is nearer to the second: its center is on its border.
+        let corners = [0, 1, 1, 2, 3, 3, 2, 3, 3].to_vec();
+        assert_eq!(nearest(vec![0, 1, 2, 3], [2, 2], [3, 3]), Some(corners));
         // Of four pixels the last, whose corner is the center.
         assert_eq!(nearest(twice, [6, 4], [3, 2]), Some(map.clone()));
         assert_eq!(nearest(map.clone(), [3, 2], [3, 2]), Some(map.clone()));
