@@ -2,9 +2,11 @@
 
 mod classes;
 mod error;
+mod neighboring_ids;
 
 pub use classes::{background, classes_of_labels, classes_of_rooms, own_directions};
 pub use error::EvaluationError;
+pub use neighboring_ids::{OtherIds, other_ids};
 
 use crate::inference::{EncodeError, EncodeProgress, SceneEncoder, SceneFeatures};
 use crate::labels::{Agreement, Classes, agreed_labels};
@@ -269,7 +271,7 @@ impl<'a> Evaluation<'a> {
         Ok(agreed_labels(features, classes, &self.settings.options, agreement)?.labels)
     }
 
-    /// Scores classes of the Gaussians, -1 for none. `[N]`
+    /// Scores classes of the Gaussians, -1 for none. `[N]` Gives what became of them where the scene is scored. `[M]`
     ///
     /// # Errors
     /// If they are not as many as Gaussians, or one is no class.
@@ -277,7 +279,7 @@ impl<'a> Evaluation<'a> {
         &mut self,
         truth: &SceneTruth<'_>,
         labels: Vec<i32>,
-    ) -> Result<(), EvaluationError> {
+    ) -> Result<Vec<i32>, EvaluationError> {
         self.add_some_labels(truth, labels, Restraint::default())
     }
 
@@ -290,7 +292,7 @@ impl<'a> Evaluation<'a> {
         truth: &SceneTruth<'_>,
         labels: Vec<i32>,
         about: Restraint<'_>,
-    ) -> Result<(), EvaluationError> {
+    ) -> Result<Vec<i32>, EvaluationError> {
         let voters: Option<Vec<bool>> = match (truth.voters(), about.voters) {
             (Some(a), Some(b)) => Some(a.iter().zip(b).map(|(a, b)| *a && *b).collect()),
             (a, b) => a.or(b).map(<[bool]>::to_vec),
@@ -313,7 +315,7 @@ impl<'a> Evaluation<'a> {
         self.scores.model.update((&predicted, truth.scored()))?;
         self.given.update((&predicted, &answered))?;
         self.has_labels = true;
-        Ok(())
+        Ok(predicted)
     }
 
     /// The numbers over all scenes so far.
@@ -371,7 +373,7 @@ pub fn evaluate(
         evaluation.add_truth(&truth, &checked)?;
         let features = encoder.encode(scene, progress)?;
         let labels = evaluation.label(&features, network.is_classifier())?;
-        evaluation.add_labels(&truth, labels)
+        evaluation.add_labels(&truth, labels).map(drop)
     };
     for (name, scene) in scenes {
         add(&scene).map_err(|source| match source {
@@ -480,9 +482,7 @@ mod tests {
             let mut evaluation = Evaluation::new(&text, settings(k)).unwrap();
             let truth = evaluation.truth(&scene, None).unwrap();
             let about = Restraint { voters, withheld };
-            evaluation
-                .add_some_labels(&truth, vec![0, 0, 1, 1], about)
-                .map(|()| evaluation.report())
+            evaluation.add_some_labels(&truth, vec![0, 0, 1, 1], about).map(|_| evaluation.report())
         };
         let plain = score(&[], None, 0).unwrap();
         assert!(plain.given.is_none() && plain.withheld == 0);

@@ -63,6 +63,15 @@ pub fn machine_memory() -> Option<Bytes> {
     whole.into_iter().chain(limit).min().map(Bytes)
 }
 
+/// Whether the system gives this process so many bytes now. What runs out of memory later ends without a word.
+pub fn can_reserve(bytes: u64) -> bool {
+    let mut room: Vec<u8> = Vec::new();
+    let got = usize::try_from(bytes).is_ok_and(|bytes| room.try_reserve_exact(bytes).is_ok());
+    // Room that nobody looks at would not be asked for.
+    std::hint::black_box(&room);
+    got
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -77,6 +86,12 @@ mod tests {
         for bad in ["", "GB", "-1GB", "8XB", "0", "nan", "inf"] {
             assert!(bad.parse::<Bytes>().is_err(), "{bad}");
         }
+    }
+
+    #[test]
+    fn no_system_gives_all_addresses() {
+        assert!(can_reserve(0) && can_reserve(1000));
+        assert!(!can_reserve(u64::MAX) && !can_reserve(1 << 62));
     }
 
     #[test]

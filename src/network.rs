@@ -11,6 +11,7 @@ pub use error::NetworkError;
 use candle_core::Device;
 use scenesplat_datasets::{InputFeatures, Orientation};
 use scenesplat_kernels::Precision;
+use scenesplat_kernels::grid_sample::is_grid_size;
 use scenesplat_models::convert::{Branch, ConvLayout};
 use scenesplat_models::weights::{SourceOptions, WeightSource, resolve};
 use scenesplat_models::{Backbone, LoadPolicy, LoadReport, ParamStore};
@@ -165,15 +166,15 @@ impl Network {
     /// Tiles need [`Backbone::alignment`], a memory limit needs [`Backbone::cost`].
     ///
     /// # Errors
-    /// If the voxel size is not above 0, or nothing is read.
+    /// If the voxel size is not above 0 or too large, or nothing is read.
     pub fn from_backbone(
         model: impl Backbone + 'static,
         input: InputFeatures,
         grid_size: f64,
         output: NetworkOutput,
     ) -> Result<Self, NetworkError> {
-        if !(grid_size.is_finite() && grid_size > 0.0) {
-            return Err(NetworkError::NotPositive { field: "grid_size", value: grid_size });
+        if !is_grid_size(grid_size) {
+            return Err(NetworkError::GridSize(grid_size));
         }
         if input.width() == 0 {
             return Err(NetworkError::NoChannels);

@@ -28,7 +28,7 @@ use std::fmt;
 /// ```
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct Setting {
-    /// `voxel`: size of the network's voxels, meters, above 0.
+    /// `voxel`: size of the network's voxels, meters, above 0, at most 1,000,000.
     pub voxel: Option<f64>,
     /// `net`: `embedded`, the name of a configuration (whose weights are given otherwise), a
     /// configuration file, or a model folder or checkpoint.
@@ -47,7 +47,7 @@ pub struct Setting {
     pub anchor: Option<Anchor>,
     /// `codes`: numbers of a feature, 1 to 256 and fewer than the network gives.
     pub codes: Option<usize>,
-    /// `k`: neighbors that vote on a label; 0 and 1 are no vote.
+    /// `k`: neighbors that vote on a label, at most 4096; 0 and 1 are no vote.
     pub k: Option<usize>,
 }
 

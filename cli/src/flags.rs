@@ -5,6 +5,7 @@ use anyhow::Result;
 use clap::ValueEnum;
 use scenesplat::inspect::LengthUnit;
 use scenesplat::kernels::Precision;
+use scenesplat::kernels::grid_sample::{MAX_GRID_SIZE, is_grid_size};
 use scenesplat::memory::Bytes;
 use scenesplat::models::DeviceChoice;
 use scenesplat::models::convert::{Branch, ConvLayout};
@@ -175,7 +176,7 @@ pub struct Inference {
     #[arg(long, value_name = "f32|split|bf16|int8")]
     pub precision: Option<Precision>,
     /// Voxel size, meters; by default the one that the network was trained at.
-    #[arg(long, value_name = "M", value_parser = parse_positive, allow_hyphen_values = true)]
+    #[arg(long, value_name = "M", value_parser = parse_grid_size, allow_hyphen_values = true)]
     pub grid_size: Option<f64>,
     /// All that trades accuracy for time in one string, such as voxel=0.04,patch=256,k=8: voxel, net,
     /// precision, patch, stage, rank, passes, anchor, codes, k (docs/settings.md).
@@ -318,6 +319,12 @@ pub fn parse_positive(text: &str) -> Result<f64, String> {
         Ok(value) if value.is_finite() && value > 0.0 => Ok(value),
         _ => Err(format!("{text:?}: a number above 0 is expected")),
     }
+}
+
+/// Reads the size of voxels, meters.
+pub fn parse_grid_size(text: &str) -> Result<f64, String> {
+    let size = text.parse().ok().filter(|size| is_grid_size(*size));
+    size.ok_or_else(|| format!("{text:?}: meters above 0, at most {MAX_GRID_SIZE}"))
 }
 
 /// Reads the number of a granularity.

@@ -13,6 +13,7 @@ mod effects;
 mod error;
 mod flags;
 mod frame;
+mod label_ids;
 mod outputs;
 mod progress;
 mod receipt;

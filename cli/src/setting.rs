@@ -5,6 +5,7 @@ use crate::flags::{Inference, NetworkArgs};
 use anyhow::Result;
 use scenesplat::Setting;
 use scenesplat::embedded;
+use scenesplat::metrics::MAX_VOTERS;
 use scenesplat::network::{NetworkChoice, Weights};
 use scenesplat::setting::Passes;
 use std::fmt::Display;
@@ -21,6 +22,9 @@ impl Inference {
     pub fn settled(&self, vote_k: Option<usize>) -> Result<(Self, usize)> {
         let setting = self.setting.clone().unwrap_or_default();
         let k = one("--vote-k", vote_k, "k", setting.k)?;
+        if let Some(k) = k.filter(|k| *k > MAX_VOTERS) {
+            refuse!("--vote-k {k}: at most {MAX_VOTERS} neighbors vote");
+        }
         if let (true, Some(passes @ Passes::Count(_))) = (self.exact, setting.passes) {
             return Err(contradiction("--exact", "passes", &passes));
         }

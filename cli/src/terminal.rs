@@ -78,7 +78,9 @@ pub fn print_usage(usage: &clap::Error) {
     let text = usage.render();
     if CAPTURED.with_borrow(Option::is_none) {
         let written = usage.print();
-        if !usage.use_stderr() {
+        // Help is no result: who stops reading it has read enough.
+        let is_lost = |e: &Error| !usage.use_stderr() && e.kind() != ErrorKind::BrokenPipe;
+        if written.as_ref().is_err_and(is_lost) {
             note(written);
         }
     } else if usage.use_stderr() {
@@ -90,10 +92,7 @@ pub fn print_usage(usage: &clap::Error) {
 
 /// Notes what became of writing to standard output.
 fn note(written: std::io::Result<()>) {
-    if let Err(error) = written
-        // A reader that stops early, as `head` does, is no error.
-        && error.kind() != ErrorKind::BrokenPipe
-    {
+    if let Err(error) = written {
         FAILED.set(FAILED.take().or(Some(error)));
     }
 }
@@ -101,7 +100,7 @@ fn note(written: std::io::Result<()>) {
 /// Whether everything that was printed got where it goes.
 ///
 /// # Errors
-/// If it did not, as on a full disk; a pipe that nobody reads any more is no error.
+/// If it did not, as on a full disk, or into a pipe that nobody reads any more.
 pub fn check_output() -> Result<()> {
     note(std::io::stdout().flush());
     match FAILED.take() {

@@ -7,7 +7,6 @@ use crate::{
     sample_rng,
 };
 use scenesplat_scene::RepairReport;
-use scenesplat_scene::value_policy::Rule;
 use std::collections::BTreeMap;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
@@ -101,8 +100,7 @@ impl SceneDataset {
         let labels = labels.into_iter().flatten().flatten().any(|label| *label >= 0);
         let about = (loaded.report.source_rows, labels, loaded.scene.lang_feat.is_some());
         held(&self.seen).entry(id.to_owned()).or_insert(about);
-        // Labels that are read as none are legal values, but they are lost.
-        if !loaded.report.is_clean() || loaded.report.count(Rule::SegmentNone) > 0 {
+        if loaded.report.dropped_rows > 0 || loaded.report.worth_telling().next().is_some() {
             held(&self.repairs).entry(id.to_owned()).or_insert(loaded.report);
         }
         loaded.scene.check_rows()?;

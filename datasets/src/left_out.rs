@@ -2,7 +2,7 @@
 
 use crate::SkippedScene;
 use scenesplat_scene::RepairReport;
-use scenesplat_scene::value_policy::{Action, Rule, ValueFinding};
+use scenesplat_scene::value_policy::ValueFinding;
 use serde::Serialize;
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -36,16 +36,13 @@ pub struct RepairedScene {
 
 impl From<&RepairReport> for RepairedScene {
     fn from(report: &RepairReport) -> Self {
-        // A label that is read as none is legal, but it is lost.
-        let counts = |f: &&ValueFinding| f.action != Action::Accept || f.rule == Rule::SegmentNone;
-        let repaired = report.findings.iter().filter(counts);
         let reason = |f: &ValueFinding| {
             format!("{} rows: {} is {}: {}", f.count, f.field, f.bad_value, f.done)
         };
         Self {
             rows: report.source_rows,
             dropped_rows: report.dropped_rows,
-            reasons: repaired.map(reason).collect(),
+            reasons: report.worth_telling().map(reason).collect(),
         }
     }
 }

@@ -7,6 +7,7 @@ use crate::{
 };
 use candle_core::{Result, bail};
 use candle_nn::VarBuilder;
+use scenesplat_kernels::grid_sample::{MAX_GRID_SIZE, is_grid_size};
 use serde::de::{Error, MapAccess, Visitor};
 use serde::{Deserialize, Deserializer, Serialize, Serializer};
 use serde_json::{Map, Value};
@@ -130,8 +131,11 @@ impl ModelConfig {
     pub fn check(&self) -> Result<()> {
         self.backbone.get().check()?;
         self.head.check()?;
-        if !(self.grid_size.is_finite() && self.grid_size > 0.0) {
-            bail!("grid_size: {} is not above 0", self.grid_size);
+        if !is_grid_size(self.grid_size) {
+            bail!(
+                "grid_size: {} is not above 0 and at most {MAX_GRID_SIZE} meters",
+                self.grid_size
+            );
         }
         check_values(self.num_values())
     }

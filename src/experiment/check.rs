@@ -4,6 +4,7 @@ use super::config::{ExperimentConfig, TargetChoice, Task};
 use super::error::{ExperimentError, Place};
 use scenesplat_datasets::TransformConfig;
 use scenesplat_losses::{ClassSourceConfig, LossConfig};
+use scenesplat_metrics::MAX_VOTERS;
 use scenesplat_models::ModelConfig;
 use scenesplat_trainers::tasks::self_supervised::Export;
 
@@ -47,6 +48,7 @@ impl ExperimentConfig {
             (reads != takes, "input", &unequal),
         ])?;
         check_teacher(self)?;
+        check_votes(self)?;
         check_training_data(self)?;
         check_task(self)
     }
@@ -63,6 +65,16 @@ impl ExperimentConfig {
             Task::SelfSupervised | Task::Autoencoder => false,
         }
     }
+}
+
+/// Few enough neighbors vote.
+fn check_votes(c: &ExperimentConfig) -> Result<()> {
+    for (i, entry) in c.evaluate.iter().enumerate() {
+        let problem = format!("at most {MAX_VOTERS} neighbors vote");
+        let too_many = entry.vote_k.is_some_and(|k| k > MAX_VOTERS);
+        refuse(&[(too_many, &format!("evaluate[{i}].vote_k"), &problem)])?;
+    }
+    Ok(())
 }
 
 /// Scenes to learn from have no points to score, and labels only where something reads them.

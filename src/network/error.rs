@@ -1,3 +1,4 @@
+use scenesplat_kernels::grid_sample::MAX_GRID_SIZE;
 use scenesplat_rooms::vocabulary::VocabularyError;
 use scenesplat_scene::SceneError;
 use std::path::{Path, PathBuf};
@@ -21,14 +22,9 @@ pub enum NetworkError {
     /// A network that cannot be built, or weights that are not its own.
     #[error(transparent)]
     Model(#[from] candle_core::Error),
-    /// A number that must be above 0.
-    #[error("{field}: {value} is not above 0")]
-    NotPositive {
-        /// Which.
-        field: &'static str,
-        /// What it is.
-        value: f64,
-    },
+    /// A size, meters, that voxels cannot have.
+    #[error("grid_size: {0} is not above 0 and at most {MAX_GRID_SIZE} meters")]
+    GridSize(f64),
     /// A precision that only the processor computes in.
     #[error(
         "precision {precision}: only the cpu computes in it; on another device f32 and bf16 are possible"

@@ -3,6 +3,8 @@
 use super::{Passes, Setting, SettingError};
 use scenesplat_datasets::Anchor;
 use scenesplat_kernels::Precision;
+use scenesplat_kernels::grid_sample::{MAX_GRID_SIZE, is_grid_size};
+use scenesplat_metrics::MAX_VOTERS;
 use std::ops::RangeInclusive;
 use std::str::FromStr;
 
@@ -50,11 +52,7 @@ impl Setting {
             expected: expected.to_owned(),
         };
         let count = |range: RangeInclusive<usize>| {
-            let expected = if *range.end() == usize::MAX {
-                format!("a number from {} on", range.start())
-            } else {
-                format!("a number from {} to {}", range.start(), range.end())
-            };
+            let expected = format!("a number from {} to {}", range.start(), range.end());
             // `parse` takes a sign, which no other way of writing this has.
             let digits = !value.is_empty() && value.bytes().all(|b| b.is_ascii_digit());
             let read = value.parse().ok().filter(|n| digits && range.contains(n));
@@ -62,8 +60,9 @@ impl Setting {
         };
         match key {
             "voxel" => {
-                let read = value.parse().ok().filter(|v: &f64| v.is_finite() && *v > 0.0);
-                self.voxel = Some(read.ok_or_else(|| wrong("a length above 0, in meters"))?);
+                let read = value.parse().ok().filter(|v: &f64| is_grid_size(*v));
+                let expected = format!("a length above 0, in meters, at most {MAX_GRID_SIZE}");
+                self.voxel = Some(read.ok_or_else(|| wrong(&expected))?);
             }
             "net" if value.is_empty() => {
                 return Err(wrong("embedded, a configuration's name, or a model folder"));
@@ -88,7 +87,7 @@ impl Setting {
                 self.anchor = Some(found.ok_or_else(|| wrong("box or world"))?.1);
             }
             "codes" => self.codes = count(1..=MAX_CODES)?,
-            "k" => self.k = count(0..=usize::MAX)?,
+            "k" => self.k = count(0..=MAX_VOTERS)?,
             _ => return Err(SettingError::UnknownKey { key: key.to_owned() }),
         }
         Ok(())
@@ -195,8 +194,11 @@ mod tests {
             ("passes=ALL", "passes", "all, or a number"),
             ("codes=0", "codes", "1 to 256"),
             ("codes=257", "codes", "1 to 256"),
-            ("k=-1", "k", "from 0 on"),
-            ("k=99999999999999999999999", "k", "from 0 on"),
+            ("k=-1", "k", "0 to 4096"),
+            ("k=4097", "k", "0 to 4096"),
+            ("k=18446744073709551615", "k", "0 to 4096"),
+            ("k=99999999999999999999999", "k", "0 to 4096"),
+            ("voxel=1e30", "voxel", "at most 1000000"),
         ] {
             let found = error(text);
             assert!(matches!(&found, SettingError::Value { key: k, .. } if *k == key), "{found}");

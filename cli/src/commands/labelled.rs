@@ -5,6 +5,7 @@ use crate::effects::{EffectArgs, Wish};
 use crate::error::{WrongUse, refuse};
 use crate::flags::Inference;
 use crate::frame::Frame;
+use crate::label_ids::LabelIdArgs;
 use crate::session::{FeatureSource, Session};
 use crate::setting::VOTE_K;
 use crate::surfaces::{Agreeing, Asked, SurfaceArgs};
@@ -56,6 +57,9 @@ pub struct LabelArgs {
     /// Takes the labels that the scene carries, whose names these are (one a line, or a JSON list), instead of a network.
     #[arg(long, value_name = "FILE", conflicts_with = "features")]
     pub label_names: Option<PathBuf>,
+    /// From where the ids of those labels count.
+    #[command(flatten)]
+    pub label_ids: LabelIdArgs,
     /// Looks for objects even where the scene carries instances.
     #[arg(long)]
     pub pieces: bool,
@@ -121,6 +125,9 @@ impl LabelArgs {
         match &self.label_names {
             Some(path) => self.own_labels(session, path, sh_rest),
             None => {
+                if self.label_ids.label_base.is_some() {
+                    refuse!("--label-base needs --label-names: it is about the scene's own labels");
+                }
                 let wish = self.labelling.wish(session)?;
                 self.labelling.run(session, &self.scene, &wish)
             }
@@ -139,7 +146,8 @@ impl LabelArgs {
         let names = read_names(path)?;
         session.receipt.fingerprint("label_names", path)?;
         let options = ReadOptions { sh_rest, ..inference.source.options() };
-        let opened = session.open_with(&self.scene, &options)?;
+        let mut opened = session.open_with(&self.scene, &options)?;
+        self.label_ids.number(session, &mut opened, names.len())?;
         let scene = &opened.loaded.scene;
         let labels = scene.segment.clone().ok_or_else(|| {
             let path = self.scene.display();

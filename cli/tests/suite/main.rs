@@ -23,6 +23,7 @@ mod networks;
 mod objects;
 mod optimise;
 mod outputs;
+mod own_labels;
 mod pareto;
 mod prepare;
 mod probe;

@@ -148,12 +148,12 @@ fn results_that_do_not_get_out_are_an_error() {
         let parts = ["standard output", "No space left"];
         refused(&command.output().unwrap(), 1, &parts);
     }
-    // A reader that stops early is no error.
+    // Nor do they get to a reader that stops early.
     let mut command = program();
     let command = command.args(words(&look)).stdout(Stdio::piped()).stderr(Stdio::piped());
     let mut head = command.spawn().unwrap();
     drop(head.stdout.take());
-    assert_eq!(head.wait().unwrap().code(), Some(0));
+    refused(&head.wait_with_output().unwrap(), 1, &["standard output", "Broken pipe"]);
 }
 
 #[test]

@@ -247,6 +247,8 @@ fn what_cannot_be_used_is_refused_by_name() {
         ("k=8,voxel=0.1,k=9", &["setting k", "twice"]),
         ("voxel=0", &["voxel", "above 0"]),
         ("voxel=nan", &["voxel", "above 0"]),
+        ("voxel=1e30", &["voxel", "at most 1000000"]),
+        ("k=18446744073709551615", &["k", "0 to 4096"]),
         ("voxel=-1", &["voxel", "above 0"]),
         ("anchor=room", &["anchor", "box or world"]),
         ("voxel", &["KEY=VALUE"]),

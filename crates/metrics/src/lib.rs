@@ -78,7 +78,7 @@ pub use rows::{FeatureFn, FeatureRows, FeatureSlice};
 pub use scene_truth::{SceneTruth, Scores, VoteRule};
 pub use similarity::cosine_scores;
 pub use text_rows::TextRows;
-pub use voting::{keep_withheld, vote};
+pub use voting::{MAX_VOTERS, keep_withheld, vote};
 pub use zero_shot::{
     UnknownRule, ZeroShotLabels, ZeroShotOptions, class_probabilities, classify,
     sigmoid_threshold_to_cosine,

@@ -1,6 +1,9 @@
 use crate::error::{check_labels, check_num_classes, check_num_rows, check_rows, check_setting};
 use crate::{IGNORE, KdTree, MetricError};
 
+/// The most neighbors that may vote: more ask all of a scene for each of its points.
+pub const MAX_VOTERS: usize = 4096;
+
 /// Removes the label from rows that had none before a vote among themselves: a row that was withheld as
 /// unknown abstains and remains unknown.
 ///
@@ -29,7 +32,7 @@ pub fn keep_withheld(before: &[i32], after: &mut [i32]) {
 /// - returns `[M]`, -1 or below `num_classes`
 ///
 /// # Errors
-/// If lengths differ, a label is out of range, `k` is 0, or a query or voting point is not finite.
+/// If lengths differ, a label is out of range, `k` is 0 or above [`MAX_VOTERS`], or a query or voting point is not finite.
 ///
 /// # Source
 /// `neighbor_voting`, SceneSplat be9d5e1. Differs: distances in f64, ties of distance settled, and
@@ -75,7 +78,7 @@ pub(crate) fn check_vote(
         check_rows("valid mask", valid.len(), reference.len())?;
     }
     check_labels("reference labels", labels, num_classes)?;
-    check_setting("k", 0, "at least 1", k > 0)?;
+    check_setting("k", k as f64, "1 to 4096", (1..=MAX_VOTERS).contains(&k))?;
     check_num_rows("query coord", query.len())?;
     match query.iter().position(|q| !q.iter().all(|v| v.is_finite())) {
         None => Ok(()),
@@ -125,5 +128,13 @@ mod tests {
         {
             assert_eq!(ballot.winner(labels.into_iter()), winner);
         }
+    }
+
+    #[test]
+    fn as_many_neighbors_vote_as_is_worth_it() {
+        let at = [[0.0; 3]];
+        let refused = |k: usize| vote(&at, &[0], None, &at, k, 1).is_err();
+        assert!(refused(0) && refused(MAX_VOTERS + 1) && refused(usize::MAX));
+        assert!(!refused(1) && !refused(MAX_VOTERS));
     }
 }

@@ -4,12 +4,18 @@ use crate::frame::{Matrix3, apply, determinant, matrix, product, transposed};
 use crate::{SceneError, Similarity};
 use glam::{DMat3, DVec3};
 use serde::{Deserialize, Serialize};
+use std::ops::RangeInclusive;
 use std::path::Path;
 
 /// How far `RᵀR` may be from the identity in a file: poses are written with few digits.
 const ROTATION_TOLERANCE: f64 = 1e-3;
 /// Rotations closer than this are left as they are, so that reading what was written changes no bit.
 const ROTATION_EXACT: f64 = 4e-15;
+
+/// The farthest that a camera, or its principal point in pixels, is from 0: squares of larger numbers do not fit f32.
+pub const FARTHEST: f64 = 1e12;
+/// Focal lengths along a side of a picture, in that side: far beyond any lens, and within f32 when squared.
+const FOCAL: RangeInclusive<f64> = 1e-4..=1e6;
 
 /// A camera with its pose.
 ///
@@ -213,8 +219,9 @@ impl Camera {
         Self { translation: self.to_camera(origin), ..self.clone() }
     }
 
-    /// Checks that everything is finite, that sizes and focal lengths are above 0 and that the
-    /// rotation is one, within 1e-3; and makes it orthonormal to the last digits.
+    /// Checks that everything is finite, that sizes are above 0, that focal lengths are 1e-4 to 1e6 sides of the
+    /// picture, that nothing is farther than [`FARTHEST`] from 0, and that the rotation is one, within 1e-3; and makes
+    /// it orthonormal to the last digits.
     ///
     /// # Errors
     /// Names the camera and what is wrong with it; `path` is for the message.
@@ -227,16 +234,21 @@ impl Camera {
             return Err(bad(format!("has a picture of {} × {} pixels", self.width, self.height)));
         }
         let numbers = [self.fx, self.fy, self.cx, self.cy];
-        let finite = numbers.iter().all(|v| v.is_finite());
-        if !finite || self.fx <= 0.0 || self.fy <= 0.0 {
-            return Err(bad(format!("has fx, fy, cx, cy = {numbers:?}")));
+        // False for NaN too.
+        let near = |v: &f64| v.abs() <= FARTHEST;
+        let sides = [self.fx / f64::from(self.width), self.fy / f64::from(self.height)];
+        let focal = sides.iter().all(|f| FOCAL.contains(f));
+        if !focal || ![self.cx, self.cy].iter().all(near) {
+            let limits = format!("focal lengths are {} to {} sides", FOCAL.start(), FOCAL.end());
+            return Err(bad(format!("has fx, fy, cx, cy = {numbers:?} ({limits})")));
         }
         let distortion = self.distortion.numbers();
         if !distortion.iter().all(|v| v.is_finite()) {
             return Err(bad(format!("has the distortion {distortion:?}")));
         }
-        if !self.translation.iter().all(|v| v.is_finite()) {
-            return Err(bad(format!("has the translation {:?}", self.translation)));
+        if !self.translation.iter().all(near) {
+            let problem = format!("has the translation {:?}", self.translation);
+            return Err(bad(format!("{problem} (at most {FARTHEST:e} from 0)")));
         }
         let off = off_orthonormal(&self.rotation);
         if off.is_nan() || off > ROTATION_TOLERANCE || determinant(&self.rotation) < 0.0 {
@@ -343,8 +355,13 @@ mod tests {
     #[test]
     fn bad_cameras_are_refused_and_near_rotations_made_exact() {
         let path = Path::new("c.json");
-        let spoil: [fn(&mut Camera); 4] = [
+        let spoil: [fn(&mut Camera); 9] = [
             |c| c.fy = f64::NAN,
+            |c| c.fx = 1e-30,
+            |c| c.fy = 1e38,
+            |c| c.cx = 1e38,
+            |c| c.translation[1] = 1e38,
+            |c| c.translation[2] = f64::NEG_INFINITY,
             |c| c.rotation[1][2] = f64::NAN,
             |c| c.rotation[2][0] = 1.01,
             |c| c.rotation[2][0] = -1.0,

@@ -22,6 +22,7 @@ pub mod frame;
 pub mod frame_files;
 pub mod gaussian_scene;
 pub mod input_file;
+pub mod label_ids;
 pub mod label_set;
 pub mod language_code;
 pub mod linear_light;
@@ -55,6 +56,7 @@ pub use formats::{
 };
 pub use frame::Frame;
 pub use gaussian_scene::{GaussianScene, LabelledPoints, LanguageFeatures};
+pub use label_ids::{LabelBase, LabelIds, NumberedLabels};
 pub use label_set::LabelSet;
 pub use language_code::{LanguageCode, LanguageCodebook};
 pub use printable::{printable, printable_text};

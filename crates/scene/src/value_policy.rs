@@ -121,6 +121,12 @@ impl RepairReport {
         self.dropped_rows == 0 && self.findings.iter().all(|f| f.action == Action::Accept)
     }
 
+    /// What users hear of in any case: repairs, and labels that are legal values, but lost or doubtful.
+    pub fn worth_telling(&self) -> impl Iterator<Item = &ValueFinding> {
+        const LABELS: [Rule; 3] = [Rule::SegmentNone, Rule::SegmentUnnamed, Rule::SegmentFromOne];
+        self.findings.iter().filter(|f| f.action != Action::Accept || LABELS.contains(&f.rule))
+    }
+
     /// Under [`Policy::Strict`], an error for the first finding that needed a repair.
     pub(crate) fn enforce(&self, policy: Policy, path: &Path) -> Result<(), SceneError> {
         let repaired = self.findings.iter().filter(|f| f.action != Action::Accept);

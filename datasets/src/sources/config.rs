@@ -5,7 +5,7 @@ use crate::effects::EffectRanges;
 use crate::error::{bad_setting, require};
 use crate::{DataError, DataSource, SceneDataset, Transform};
 use scenesplat_rooms::{CLASSES, SyntheticRoomSettings, Vocabulary};
-use scenesplat_scene::{LabelSet, Policy, TextTable};
+use scenesplat_scene::{LabelBase, LabelIds, LabelSet, Policy, TextTable};
 use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -46,6 +46,10 @@ pub struct FolderConfig {
     /// Names of the classes, one a line; needed where the program has no list.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub class_names: Option<PathBuf>,
+    /// The id of the first class in the labels, 0 or 1. If not given, 0, but ids that have names only
+    /// if they count from 1 are refused.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub label_base: Option<LabelBase>,
     /// Whether bad values are repaired or the scene is refused.
     #[serde(default)]
     pub policy: Policy,
@@ -57,13 +61,23 @@ fn yes() -> bool {
 
 impl FolderConfig {
     /// The scenes in the given folders, labels from the first of the given files that is there.
-    fn scenes(&self, folders: Vec<String>, labels: &[&str]) -> Result<SceneFolders, DataError> {
+    fn scenes(
+        &self,
+        folders: Vec<String>,
+        labels: &[&str],
+        classes: Option<&LabelSet>,
+    ) -> Result<SceneFolders, DataError> {
+        if let (Some(base), None) = (self.label_base, classes) {
+            let expected = "nothing without class_names, the names that ids stand for";
+            return Err(bad_setting("label_base", base, expected));
+        }
         let segment = match &self.segment {
             Some(own) => vec![own.clone()],
             None => labels.iter().map(|&stem| stem.to_owned()).collect(),
         };
         let options = SceneFoldersOptions {
             segment,
+            label_ids: classes.map(|classes| LabelIds::new(classes.len(), self.label_base)),
             lang_feat: self.lang_feat,
             labelled_points: self.labelled_points.unwrap_or(false),
             excluded_scenes: self.excluded_scenes.clone(),
@@ -185,22 +199,27 @@ impl SourceConfig {
     /// The source; scenes are listed, none is read.
     ///
     /// # Errors
-    /// If a folder is missing or holds no scene, or a setting has no meaning for this source.
+    /// If a folder is missing or holds no scene, a setting has no meaning for this source, or a file of
+    /// names cannot be read.
     pub fn build(&self) -> Result<Arc<dyn DataSource>, DataError> {
+        let classes = self.label_set()?;
         match self {
             Self::Synthetic(rooms) => Ok(Arc::new(rooms.build()?)),
             Self::Generic(FolderConfig { split: Some(split), .. }) => {
                 let expected = "no split: a folder of one's own has none, name `folders`";
                 Err(bad_setting("split", format!("{split:?}"), expected))
             }
-            Self::Generic(folder) => Ok(Arc::new(folder.scenes(Vec::new(), &[])?)),
+            Self::Generic(folder) => {
+                Ok(Arc::new(folder.scenes(Vec::new(), &[], classes.as_ref())?))
+            }
             other => {
                 let Some((benchmark, folder)) = other.benchmark() else {
                     return Err(bad_setting("type", "?", "a known source"));
                 };
                 let folders = benchmark.folders(folder.split.unwrap_or_default());
                 let folders = folders.iter().map(|&name| name.to_owned()).collect();
-                Ok(Arc::new(folder.scenes(folders, benchmark.label_files())?))
+                let files = benchmark.label_files();
+                Ok(Arc::new(folder.scenes(folders, files, classes.as_ref())?))
             }
         }
     }

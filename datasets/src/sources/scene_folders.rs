@@ -2,7 +2,9 @@
 
 use crate::files::{bad_file, entries, name_of};
 use crate::{DataError, DataSource, SourceScene};
-use scenesplat_scene::{LabelledPoints, Policy, ReadOptions, SceneError, SceneFormat, open_scene};
+use scenesplat_scene::{
+    LabelIds, LabelledPoints, Policy, ReadOptions, SceneError, SceneFormat, open_scene,
+};
 use std::path::{Path, PathBuf};
 
 /// What of a scene is read.
@@ -11,6 +13,8 @@ pub struct SceneFoldersOptions {
     /// Stems of the files (or PLY properties) with labels; the first that a scene has counts. Empty:
     /// what [`ReadOptions::segment`] finds by itself.
     pub segment: Vec<String>,
+    /// What the ids of labels stand for; if `None`, they are classes as they are.
+    pub label_ids: Option<LabelIds>,
     /// Whether language features are read; they are by far the largest part of a scene.
     pub lang_feat: bool,
     /// Whether labeled points are kept.
@@ -25,6 +29,7 @@ impl Default for SceneFoldersOptions {
     fn default() -> Self {
         Self {
             segment: Vec::new(),
+            label_ids: None,
             lang_feat: true,
             labelled_points: false,
             excluded_scenes: Vec::new(),
@@ -151,8 +156,8 @@ impl DataSource for SceneFolders {
             sh_rest: false,
             ..ReadOptions::default()
         };
-        let loaded = open_scene(path, &options)
-            .map_err(|source| DataError::Scene { id: id.to_owned(), source: Box::new(source) })?;
+        let scene_error = |source| DataError::Scene { id: id.to_owned(), source };
+        let loaded = open_scene(path, &options).map_err(|e| scene_error(Box::new(e)))?;
         let (mut scene, mut report) = (loaded.scene, loaded.report);
         if unlabelled {
             // Labels of other classes may be there, and must not be taken for those.
@@ -164,6 +169,11 @@ impl DataSource for SceneFolders {
         }
         if !self.options.labelled_points {
             scene.labelled_points = None::<LabelledPoints>;
+        }
+        if let Some(ids) = self.options.label_ids {
+            ids.number(&mut scene)
+                .map_err(|source| scene_error(Box::new(source)))?
+                .report(&mut report);
         }
         Ok(SourceScene { scene, report })
     }

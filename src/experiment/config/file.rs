@@ -19,7 +19,8 @@ pub(super) fn read_table(
     seen.push(here);
     let text = scenesplat_scene::input_file::read_text_file(path)?;
     let text = with_variables(&text, variable).at(place)?;
-    let mut own: toml::Table = text.parse::<toml::Table>().at(place)?;
+    // Without the line, which may be one of a file that this configuration should not name.
+    let mut own = text.parse::<toml::Table>().map_err(|e| not_toml(&text, &e)).at(place)?;
     let Some(base) = own.remove("extends") else { return Ok(own) };
     let toml::Value::String(base) = base else {
         let problem = format!("expected the path of a file, got {base}");
@@ -29,6 +30,13 @@ pub(super) fn read_table(
     let mut joined = read_table(&base, variable, seen)?;
     join(&mut joined, own);
     Ok(joined)
+}
+
+/// Where a file is no TOML, and why, without what stands there.
+fn not_toml(text: &str, error: &toml::de::Error) -> ExperimentError {
+    let before = error.span().and_then(|span| text.get(..span.start)).unwrap_or_default();
+    let line = 1 + before.matches('\n').count();
+    ExperimentError::setting(format!("line {line}"), format!("no TOML: {}", error.message()))
 }
 
 /// Replaces `${NAME}` by its value.
@@ -105,6 +113,19 @@ mod tests {
         assert_eq!(base, table(other));
         join(&mut base, table("[model]\nstride = [2]"));
         assert_eq!(base, table(&other.replace('3', "2")));
+    }
+
+    #[test]
+    fn a_file_that_is_no_toml_is_not_shown() {
+        let dir = tempfile::tempdir().unwrap();
+        let at = |name: &str| dir.path().join(name);
+        std::fs::write(at("a.toml"), "extends = 'accounts'").unwrap();
+        std::fs::write(at("accounts"), "x = 1\nroot:secret:0:0\n").unwrap();
+        let none = |_: &str| None;
+        let error = read_table(&at("a.toml"), &none, &mut Vec::new()).unwrap_err();
+        let text = format!("{:#}", anyhow::Error::from(error));
+        assert!(text.contains("accounts") && text.contains("line 2"), "{text}");
+        assert!(!text.contains("secret") && !text.contains("root"), "{text}");
     }
 
     #[test]

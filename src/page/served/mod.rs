@@ -4,12 +4,14 @@
 //! names another host, or comes from another site in the reader's browser, gets nothing, so no site can read the
 //! scene, whatever its name is made to point at.
 
+mod connections;
 mod request;
 
 use super::html::assemble;
 use super::pack::Pack;
 use super::{PageError, PageInput, PageReport, PageSettings};
 use crate::page_kit::Rights;
+use connections::Connections;
 use rand::TryRngCore;
 use rand::rngs::OsRng;
 pub use request::Refusal;
@@ -17,19 +19,19 @@ use request::{Address, LONGEST_HEAD, Request, Target, judge};
 use serde_json::{Map, Value};
 use std::io::{ErrorKind, Read, Write};
 use std::net::{Ipv4Addr, Shutdown, TcpListener, TcpStream};
-use std::sync::atomic::{AtomicU64, AtomicUsize, Ordering};
+use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::mpsc::{Sender, channel};
 use std::time::{Duration, Instant};
 
 /// Bytes of a chunk: many a second come through, so that progress is seen.
 const CHUNK: usize = 4 << 20;
-/// Connections that are answered at a time; others wait.
-const MOST_CONNECTIONS: usize = 16;
 /// Between two looks for a connection, and within a wait for bytes: how long stopping may take.
 const LOOK: Duration = Duration::from_millis(15);
 const WAIT: Duration = Duration::from_millis(200);
-/// How long a request may take to come, and how long an answer may stand still.
+/// How long a request may take to come, and an answer to begin.
 const PATIENCE: Duration = Duration::from_secs(10);
+/// Bytes that a reader takes in a second at least: a slow tunnel's.
+const SLOWEST: u64 = 100_000;
 
 /// A page in memory, as it is served.
 #[derive(Debug)]
@@ -147,7 +149,7 @@ impl PageServer {
         event: &mut dyn FnMut(ServeEvent),
     ) -> Result<Served, PageError> {
         let (events, seen) = channel();
-        let (open, sent, bytes) = (AtomicUsize::new(0), AtomicU64::new(0), AtomicU64::new(0));
+        let (open, sent, bytes) = (Connections::default(), AtomicU64::new(0), AtomicU64::new(0));
         let mut served = Served::default();
         let mut tell = |e: ServeEvent| {
             match e {
@@ -157,14 +159,10 @@ impl PageServer {
             }
             event(e);
         };
-        let mut failures = 0;
+        let (mut failures, mut next) = (0, 0);
         let done = std::thread::scope(|scope| {
             while !stop() {
                 seen.try_iter().for_each(&mut tell);
-                if open.load(Ordering::Acquire) >= MOST_CONNECTIONS {
-                    std::thread::sleep(LOOK);
-                    continue;
-                }
                 let stream = match self.listener.accept() {
                     Ok((stream, _)) => stream,
                     Err(e) if e.kind() == ErrorKind::WouldBlock => {
@@ -182,13 +180,19 @@ impl PageServer {
                     }
                 };
                 failures = 0;
-                open.fetch_add(1, Ordering::AcqRel);
-                let (events, open, sent, bytes) = (events.clone(), &open, &sent, &bytes);
+                while !open.make_room() && !stop() {
+                    std::thread::sleep(LOOK);
+                }
+                next += 1;
+                if !open.add(next, &stream) {
+                    continue;
+                }
+                let (id, address, events) = (next, &self.address, events.clone());
+                let (open, sent, bytes) = (&open, &sent, &bytes);
                 scope.spawn(move || {
-                    let connection =
-                        Connection { address: &self.address, page, stop, events, sent, bytes };
-                    connection.answer(stream);
-                    open.fetch_sub(1, Ordering::AcqRel);
+                    Connection { id, open, address, page, stop, events, sent, bytes }
+                        .answer(stream);
+                    open.remove(id);
                 });
             }
             Ok(())
@@ -200,6 +204,8 @@ impl PageServer {
 
 /// One connection, which gets one answer.
 struct Connection<'a> {
+    id: u64,
+    open: &'a Connections,
     address: &'a Address,
     page: &'a ServedPage,
     stop: &'a (dyn Fn() -> bool + Sync),
@@ -220,6 +226,7 @@ impl Connection<'_> {
             return;
         }
         let Some(judged) = self.head(&mut stream) else { return };
+        self.open.moved(self.id);
         let found = judged.and_then(|request| {
             let missing = Refusal { status: 404, why: "there is no such thing here" };
             self.page.body(&request.target).map(|body| (request, body)).ok_or(missing)
@@ -285,11 +292,12 @@ impl Connection<'_> {
         }
     }
 
-    /// Whether all of it went out.
+    /// Whether all of it went out, in the time that a slow reader needs.
     fn send(&self, stream: &mut TcpStream, mut bytes: &[u8]) -> bool {
-        let mut moved = Instant::now();
+        let needed = Duration::from_secs(bytes.len() as u64 / SLOWEST);
+        let deadline = Instant::now() + PATIENCE + needed;
         while !bytes.is_empty() {
-            if (self.stop)() {
+            if (self.stop)() || Instant::now() > deadline {
                 return false;
             }
             match stream.write(&bytes[..bytes.len().min(1 << 18)]) {
@@ -297,9 +305,9 @@ impl Connection<'_> {
                 Ok(n) => {
                     self.bytes.fetch_add(n as u64, Ordering::Relaxed);
                     bytes = &bytes[n..];
-                    moved = Instant::now();
+                    self.open.moved(self.id);
                 }
-                Err(e) if is_wait(&e) && moved.elapsed() < PATIENCE => {}
+                Err(e) if is_wait(&e) => {}
                 Err(_) => return false,
             }
         }

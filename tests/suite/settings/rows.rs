@@ -276,6 +276,7 @@ pub const TABLES: &[Table] = &[
         ("segment", "other", Weights),
         ("exact", "true", Weights),
         ("class_names", "DATA/few.txt", Refused("7 classes")),
+        ("label_base", "1", Refused("label_base")),
     ]),
     table("folders", "/train/1/source")
         .with(&[("/train/1/source/root", "DATA/spoiled")])
@@ -299,6 +300,7 @@ pub const TABLES: &[Table] = &[
         .rows(&[
             ("segment", "other", Weights),
             ("class_names", "DATA/few.txt", Refused("7 classes")),
+            ("label_base", "1", Weights),
         ]),
     table("folders", "/train/0/source")
         .with(&[("/train/0/source/root", "DATA/spoiled"), ("/train/0/source/folders", r#"["."]"#)])
@@ -618,6 +620,7 @@ pub const TABLES: &[Table] = &[
         ("excluded_scenes", r#"["two"]"#, Measured),
         ("limit", "1", Measured),
         ("class_names", "DATA/few.txt", Refused("7 classes")),
+        ("label_base", "1", Refused("label_base")),
     ]),
     table("folders", "/evaluate/1/source")
         .with(&[
@@ -640,6 +643,7 @@ pub const TABLES: &[Table] = &[
         ("lang_feat", "false", Nothing("votes look at the mask of features alone")),
         ("labelled_points", "false", Measured),
         ("class_names", "DATA/few.txt", Refused("7 classes")),
+        ("label_base", "1", Measured),
     ]),
     table("folders", "/evaluate/0/source")
         .with(&[

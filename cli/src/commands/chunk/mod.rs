@@ -29,7 +29,7 @@ pub struct Args {
     pub split: Option<String>,
     /// Keeps one Gaussian in each cell of this size, meters (0.01 is the original's); all if not
     /// given.
-    #[arg(long, value_name = "M")]
+    #[arg(long, value_name = "M", value_parser = crate::flags::parse_grid_size)]
     pub grid: Option<f64>,
     /// Sides of a chunk along x and y, meters.
     #[arg(long, num_args = 2, value_names = ["X", "Y"], default_values_t = [6.0, 6.0])]

@@ -5,12 +5,14 @@ use crate::commands::many::Many;
 use crate::effects::{EffectArgs, Wish};
 use crate::error::refuse;
 use crate::flags::{Inference, Shared};
+use crate::label_ids::LabelIdArgs;
 use crate::outputs::Outputs;
 use crate::session::{FeatureSource, Session};
 use crate::surfaces::SurfaceArgs;
 use anyhow::Result;
 use scenesplat::Network;
 use scenesplat::evaluation::{self, EvaluationSettings, background, own_directions};
+use scenesplat::outputs::OpenedScene;
 use scenesplat::scene::label_set::read_names;
 use scenesplat::scene::{ClassMap, LabelSet, TextTable};
 use scenesplat::text::class_list;
@@ -39,6 +41,9 @@ pub struct Args {
     /// --text.
     #[arg(long, value_name = "FILE")]
     pub label_names: Option<PathBuf>,
+    /// From where the ids of labels count.
+    #[command(flatten)]
+    pub label_ids: LabelIdArgs,
     /// Which class of --text each label name means (TOML or JSON); labels without one are ignored.
     #[arg(long, value_name = "FILE")]
     pub class_map: Option<PathBuf>,
@@ -179,6 +184,22 @@ impl Args {
             keeps_unknown: self.surfaces.min_probability.is_some(),
             seed: self.inference.seed,
         })
+    }
+
+    /// Makes the labels of a scene's file rows of so many names.
+    pub fn number_labels(
+        &self,
+        session: &Session<'_>,
+        opened: &mut OpenedScene,
+        names: usize,
+    ) -> Result<()> {
+        let found = self.label_ids.number(session, opened, names)?;
+        // Without a list of names, ids that are no class are of another list.
+        if let (None, Some(text)) = (&self.label_names, found.unnamed_text()) {
+            let scene = opened.loaded.path.display();
+            anyhow::bail!("{scene}: {text}; give the names with --label-names");
+        }
+        Ok(())
     }
 
     /// Class of --text for each label of the scenes, if the labels have names.

@@ -12,7 +12,7 @@ use anyhow::{Result, anyhow};
 pub use args::Args;
 pub use report::tell as tell_report;
 pub use scenes::{KINDS, one_by_one};
-use scenesplat::evaluation::{Evaluation, EvaluationError, Restraint};
+use scenesplat::evaluation::{Evaluation, EvaluationError, Restraint, other_ids};
 use scenesplat::outputs::OpenedScene;
 use scenesplat::scene::{LoadedScene, label_names};
 use scenesplat_lab::compensation::Consumer;
@@ -31,6 +31,7 @@ pub fn run(args: &Args, line: &str) -> Result<()> {
     let settings = args.settings(&text, *vote_k)?;
     let excluded = settings.excluded.clone();
     let class_of = args.classes_of_labels(&text.names)?;
+    let names_of_labels = class_of.as_ref().map(Vec::len);
     let mut evaluation = Evaluation::new(&text, settings)?;
     session.outputs.open_folder(&["evaluation.json"])?;
     args.classes.record(&session)?;
@@ -39,7 +40,10 @@ pub fn run(args: &Args, line: &str) -> Result<()> {
     session.receipt.setting("exclude", names.join(","), "left out of f-mIoU and f-mAcc");
 
     for input in &inputs {
-        let opened = input.open(&session, &args.inference)?;
+        let mut opened = input.open(&session, &args.inference)?;
+        if input.is_file() {
+            args.number_labels(&session, &mut opened, names_of_labels.unwrap_or(text.names.len()))?;
+        }
         let own = input.classes_of_labels(&text.names);
         let class_of = class_of.as_deref().or(own.as_deref());
         let source = source.as_ref().map(|source| (source, &wish));
@@ -94,16 +98,17 @@ fn score(
     let _stage = session.receipt.stage("score");
     let withheld = about.withheld_at(truth.places());
     let about = Restraint { voters: features.voters(), withheld: &withheld };
-    Ok(evaluation.add_some_labels(&truth, labels, about)?)
+    let found = evaluation.add_some_labels(&truth, labels, about)?;
+    if let Some(other) = other_ids(scene, &found, class_of) {
+        report::tell_other_ids(session, &other, path);
+    }
+    Ok(())
 }
 
 /// An error with the scene, and with the flags that help.
 fn explain(error: EvaluationError, loaded: &LoadedScene) -> anyhow::Error {
     let scene = loaded.path.display();
     match error {
-        EvaluationError::UnknownLabel { .. } => {
-            anyhow!("{scene}: {error}; give the names with --label-names")
-        }
         EvaluationError::NoLabels => match label_names(&loaded.unread) {
             Some(names) => anyhow!("{scene}: {error} (choose with --segment-name {names})"),
             None => anyhow!(

@@ -3,7 +3,7 @@
 use crate::session::Session;
 use crate::terminal::print;
 use anyhow::Result;
-use scenesplat::evaluation::EvaluationReport;
+use scenesplat::evaluation::{EvaluationReport, OtherIds};
 use scenesplat::metrics::{OracleReport, TesterReport};
 use serde_json::{Value, json};
 use std::path::Path;
@@ -27,6 +27,19 @@ pub fn tell_oracle(session: &Session<'_>, names: &[String], report: &OracleRepor
         report.num_scored,
         percent(report.metrics.mean_iou),
         percent(report.metrics.all_accuracy)
+    ));
+}
+
+/// Says that labels look as if they were one name off.
+pub fn tell_other_ids(session: &Session<'_>, other: &OtherIds, path: &Path) {
+    let OtherIds { by, agree, would_agree } = *other;
+    let (which, base) = if by < 0 { ("before", 1) } else { ("after", 0) };
+    session.warn_loudly(format!(
+        "{}: {} of the labels agree with what was found, but {} would if every id stood for the name {which} its own: \
+         are they ids that count from {base} (--label-base {base})?",
+        path.display(),
+        percent(Some(agree)),
+        percent(Some(would_agree))
     ));
 }
 

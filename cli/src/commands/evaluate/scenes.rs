@@ -124,6 +124,11 @@ impl Input {
         }
     }
 
+    /// Whether its labels are ids of a file.
+    pub fn is_file(&self) -> bool {
+        matches!(self, Self::File(_))
+    }
+
     /// Which of the text's classes each label means, where the scene knows its labels' names.
     pub fn classes_of_labels(&self, names: &[String]) -> Option<Vec<i32>> {
         match self {

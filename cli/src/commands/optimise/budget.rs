@@ -4,7 +4,7 @@ use super::Args;
 use super::frames::Frames;
 use crate::session::Session;
 use anyhow::Result;
-use scenesplat::memory::Bytes;
+use scenesplat::memory::{Bytes, can_reserve};
 use scenesplat::optimisation::cost::{cap_of, memory_of, set_cap};
 use scenesplat::optimisation::{
     Model, OptimiseSettings, Optimiser, StepCost, Strategy, TrainingFrame,
@@ -15,18 +15,26 @@ use std::time::Instant;
 const TIMED: usize = 4;
 
 impl Args {
-    /// Lowers the cap to what `--max-memory` holds.
+    /// Lowers the cap to what `--max-memory` holds. Refuses first Gaussians that no memory is there for: to run out of it
+    /// later would end the program without a word.
     pub(super) fn bounded(
         &self,
         session: &Session<'_>,
         settings: OptimiseSettings,
         frames: &Frames,
     ) -> Result<OptimiseSettings> {
+        let need = |gaussians: usize| memory_of(&settings, gaussians, &frames.train);
+        let least = self.initial as usize;
+        let first = need(least) - need(0);
+        anyhow::ensure!(
+            can_reserve(first),
+            "--initial {least}: so many Gaussians need {}, which the system does not give this process; use a \
+             smaller --initial",
+            Bytes(first)
+        );
         let (Some(limit), Some(cap)) = (self.max_memory, cap_of(&settings)) else {
             return Ok(settings);
         };
-        let need = |gaussians: usize| memory_of(&settings, gaussians, &frames.train);
-        let least = self.initial as usize;
         anyhow::ensure!(
             need(least) <= limit.0,
             "--max-memory {limit}: the frames and {least} Gaussians need {}; use fewer or smaller \

@@ -5,6 +5,7 @@ mod budget;
 mod exposure;
 mod frames;
 mod pictures;
+mod previews;
 mod report;
 mod run;
 
@@ -14,6 +15,7 @@ use crate::terminal::print;
 use anyhow::Result;
 pub use args::Args;
 use frames::Frames;
+use previews::Previews;
 use run::checkpoints;
 use scenesplat::optimisation::{OptimiseSettings, Optimiser, newest_checkpoint};
 use scenesplat::scene::formats::inria_ply::write_inria_ply;
@@ -56,11 +58,13 @@ pub fn run(args: &Args, line: &str) -> Result<()> {
         }
     };
     note(&session, optimiser.settings())?;
-    let ran = args.steps(&session, &mut optimiser, &frames, began)?;
+    let mut previews = Previews::of(&args.shared.out);
+    let ran = args.steps(&session, &mut optimiser, &frames, &mut previews, began)?;
     if let Some(place) = &ran.stopped {
         let total = optimiser.settings().steps;
         print(&format!("checkpoint: {}", place.display()));
         print(&format!("stopped at step {} of {total}: --resume goes on", optimiser.steps_done()));
+        previews.keep();
         return Ok(());
     }
     if ran.out_of_time {
@@ -76,7 +80,9 @@ pub fn run(args: &Args, line: &str) -> Result<()> {
     if kept.antialiased {
         session.progress.say("the scene was made with antialiasing, and scene.ply says so");
     }
-    session.finish()
+    session.finish()?;
+    previews.keep();
+    Ok(())
 }
 
 impl Args {

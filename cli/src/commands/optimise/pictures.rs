@@ -4,9 +4,7 @@ use anyhow::Result;
 use scenesplat::optimisation::{
     FrameScore, OptimiseSettings, Optimiser, TrainingFrame, score_frame,
 };
-use scenesplat::scene::AtomicFile;
 use scenesplat::scene::picture::RgbPicture;
-use std::path::Path;
 
 /// What an error is multiplied by to be seen.
 const SHOWN: f32 = 4.0;
@@ -36,13 +34,4 @@ pub(super) fn compared(
         })
     });
     Ok((score, picture))
-}
-
-/// Writes a picture that appears whole while the command runs.
-pub(super) fn write_now(path: &Path, picture: &RgbPicture) -> Result<()> {
-    if let Some(folder) = path.parent() {
-        std::fs::create_dir_all(folder)?;
-    }
-    AtomicFile::write(path, &picture.encode_png()?)?;
-    Ok(())
 }

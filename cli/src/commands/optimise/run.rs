@@ -2,7 +2,8 @@
 
 use super::Args;
 use super::frames::Frames;
-use super::pictures::{compared, write_now};
+use super::pictures::compared;
+use super::previews::Previews;
 use crate::progress::interrupted;
 use crate::session::Session;
 use anyhow::Result;
@@ -74,6 +75,7 @@ impl Args {
         session: &Session<'_>,
         optimiser: &mut Optimiser,
         frames: &Frames,
+        previews: &mut Previews,
         began: Instant,
     ) -> Result<Ran> {
         let _stage = session.receipt.stage("steps");
@@ -108,7 +110,7 @@ impl Args {
                 point.tell(session);
                 ran.curve.push(point);
                 let picture = compared(optimiser, frames.shown())?.1;
-                write_now(&out.join(format!("previews/step-{done:09}.png")), &picture)?;
+                previews.write(done, &picture)?;
             }
             let stop = interrupted();
             let due = self.checkpoint_every > 0 && done.is_multiple_of(self.checkpoint_every);

@@ -4,6 +4,7 @@ use crate::commands::classes::Classes;
 use crate::duration::{Seconds, parse_duration};
 use crate::error::WrongUse;
 use crate::flags::{NetworkArgs, Running, SourceArgs};
+use crate::label_ids::LabelIdArgs;
 use scenesplat::Setting;
 use scenesplat::network::Weights;
 use scenesplat_lab::pareto::{Grid, ParetoError};
@@ -50,6 +51,9 @@ pub struct Args {
     /// Names of the labels in the scenes that are files, one a line or as JSON.
     #[arg(long, value_name = "FILE")]
     pub label_names: Option<PathBuf>,
+    /// From where the ids of those labels count. What may count from 1 is refused without --label-base.
+    #[command(flatten)]
+    pub label_ids: LabelIdArgs,
     /// Which class each label name means (TOML or JSON); labels without one are ignored.
     #[arg(long, value_name = "FILE", requires = "label_names")]
     pub class_map: Option<PathBuf>,

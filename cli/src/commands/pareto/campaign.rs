@@ -90,7 +90,7 @@ impl<'a> Campaign<'a> {
 
     /// What all records share, in words: records of other reference, classes or files do not compare.
     pub fn conditions(&self) -> Result<String> {
-        let Args { classes, exclude, label_names, class_map, source, .. } = self.args;
+        let Args { classes, exclude, label_names, label_ids, class_map, source, .. } = self.args;
         let mut parts = vec![format!("reference {}", self.grid.reference)];
         for (name, path) in [
             ("text", &classes.text),
@@ -103,6 +103,7 @@ impl<'a> Campaign<'a> {
             let hash = if path.is_file() { sha256_of(path)?.0 } else { String::new() };
             parts.push(format!("{name} {} {}", path.display(), hash.get(..12).unwrap_or_default()));
         }
+        parts.extend(label_ids.label_base.map(|base| format!("label base {base}")));
         parts.extend(exclude.as_ref().map(|names| format!("exclude {}", names.join(","))));
         parts.extend(source.segment_name.as_ref().map(|name| format!("segment {name}")));
         let Classes { without, min_score, min_margin, .. } = classes;
@@ -157,6 +158,7 @@ impl<'a> Campaign<'a> {
             set: set.name.clone(),
             scenes: set.scenes.clone(),
             label_names: self.args.label_names.clone(),
+            label_base: self.args.label_ids.label_base,
             class_map: self.args.class_map.clone(),
             exclude: self.args.exclude.clone(),
             repeats,

@@ -16,7 +16,7 @@ use scenesplat::machine::Machine;
 use scenesplat::memory::Bytes;
 use scenesplat::rooms::Vocabulary;
 use scenesplat::scene::label_set::read_names;
-use scenesplat::scene::{AtomicFile, ClassMap, LabelSet, TextTable};
+use scenesplat::scene::{AtomicFile, ClassMap, LabelIds, LabelSet, TextTable};
 use scenesplat::text::class_list;
 use scenesplat::{Network, SceneEncoder};
 use scenesplat_lab::pareto::{Job, SceneInput, Written, measure};
@@ -132,16 +132,19 @@ fn text_table(classes: &Classes, network: &Network, embedded: bool) -> Result<Te
 }
 
 fn scenes(request: &Request, classes: &[String]) -> Result<Vec<SceneInput>> {
-    let of_files = match &request.label_names {
+    let (of_files, ids) = match &request.label_names {
         Some(path) => {
             let map = request.class_map.as_deref().map(ClassMap::read).transpose()?;
-            Some(classes_of_labels(&read_names(path)?, map.as_ref(), classes)?)
+            let names = read_names(path)?;
+            let of_files = classes_of_labels(&names, map.as_ref(), classes)?;
+            (Some(of_files), Some(LabelIds::new(names.len(), request.label_base)))
         }
-        None => None,
+        None => (None, None),
     };
     let input = |scene: &super::request::Scene| SceneInput {
         name: scene.name.clone(),
         path: scene.path.clone(),
+        label_ids: ids.filter(|_| !scene.is_room),
         class_of: if scene.is_room { Some(classes_of_rooms(classes)) } else { of_files.clone() },
     };
     Ok(request.scenes.iter().map(input).collect())

@@ -1,5 +1,6 @@
 //! What the command asks of the processes that it starts.
 
+use scenesplat::scene::LabelBase;
 use serde::{Deserialize, Serialize};
 use std::path::PathBuf;
 
@@ -18,6 +19,9 @@ pub struct Request {
     pub scenes: Vec<Scene>,
     /// Names of the labels of files.
     pub label_names: Option<PathBuf>,
+    /// The id of the first of those names.
+    #[serde(default)]
+    pub label_base: Option<LabelBase>,
     /// What those names mean.
     pub class_map: Option<PathBuf>,
     /// Classes left out of the foreground averages.

@@ -1,6 +1,7 @@
 //! Values of the flags of `render`.
 
 use scenesplat::rasterizer::{MAX_PIXELS, MAX_SIDE};
+use scenesplat::scene::camera::FARTHEST;
 
 /// Reads the size of pictures.
 pub fn parse_size(text: &str) -> Result<[u32; 2], String> {
@@ -20,10 +21,14 @@ pub fn parse_size(text: &str) -> Result<[u32; 2], String> {
 
 /// Reads three coordinates.
 pub fn parse_point(text: &str) -> Result<[f64; 3], String> {
-    let values: Option<Vec<f64>> =
-        text.split(',').map(|v| v.trim().parse().ok().filter(|v: &f64| v.is_finite())).collect();
+    let values: Option<Vec<f64>> = text
+        .split(',')
+        .map(|v| v.trim().parse().ok().filter(|v: &f64| v.abs() <= FARTHEST))
+        .collect();
     let point = values.and_then(|v| <[f64; 3]>::try_from(v).ok());
-    point.ok_or_else(|| format!("{text:?} is no point; write three numbers: 1.5,0,-2"))
+    point.ok_or_else(|| {
+        format!("{text:?} is no point; write three numbers: 1.5,0,-2, at most {FARTHEST:e} from 0")
+    })
 }
 
 /// Reads an angle of view, degrees.

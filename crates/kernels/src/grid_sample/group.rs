@@ -4,7 +4,7 @@ use super::bounds::cell_bounds;
 use super::hash_order::voxels_by_hash;
 use super::keys::{morton_cell, morton_key};
 use super::parts::{pieces, running_sum};
-use super::{CHUNK, GridSampleError, KeyOrder, VoxelGroups, check_row_count};
+use super::{CHUNK, GridSampleError, KeyOrder, VoxelGroups, check_row_count, is_grid_size};
 use crate::serialization::{Sorted, shared};
 use crate::simd::{Vector, dispatch};
 use rayon::prelude::*;
@@ -19,7 +19,7 @@ use std::sync::atomic::{AtomicU32, Ordering};
 /// - `coord`: `[N, 3]` meters, finite
 ///
 /// # Errors
-/// If `grid_size` is not a positive number, a coordinate is not finite, an axis spans more than
+/// If [`is_grid_size`] is not true of `grid_size`, a coordinate is not finite, an axis spans more than
 /// [`MAX_CELL`](super::MAX_CELL) + 1 cells, or the rows outnumber `u32`. Row and axis are named.
 ///
 /// # Source
@@ -32,7 +32,7 @@ pub fn voxel_groups(
     key_order: KeyOrder,
 ) -> Result<VoxelGroups, GridSampleError> {
     check_row_count(coord.len())?;
-    if !(grid_size.is_finite() && grid_size > 0.0) {
+    if !is_grid_size(grid_size) {
         return Err(GridSampleError::GridSize { grid_size });
     }
     let (min_cell, max_index) = cell_bounds(coord, grid_size)?;

@@ -34,12 +34,20 @@ pub enum KeyOrder {
     Morton,
 }
 
+/// Largest voxel, meters: a larger one holds any scene, and its results say nothing.
+pub const MAX_GRID_SIZE: f64 = 1e6;
+
+/// Whether voxels can have this size, meters: above 0, and at most [`MAX_GRID_SIZE`].
+pub fn is_grid_size(size: f64) -> bool {
+    size > 0.0 && size <= MAX_GRID_SIZE
+}
+
 /// Why rows cannot be grouped into voxels.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 #[non_exhaustive]
 pub enum GridSampleError {
-    /// The voxel size is not a positive number.
-    #[error("voxel size must be finite and above 0, got {grid_size}")]
+    /// The voxel size is none.
+    #[error("voxel size must be above 0 and at most {MAX_GRID_SIZE} m, got {grid_size}")]
     GridSize {
         /// The size given, meters.
         grid_size: f64,

@@ -17,7 +17,7 @@ use scenesplat_metrics::{
 };
 use scenesplat_scene::formats::npy::NpyFile;
 use scenesplat_scene::formats::npy_writer::write_npy;
-use scenesplat_scene::{ReadOptions, TextTable};
+use scenesplat_scene::{LabelIds, ReadOptions, TextTable};
 use serde::{Deserialize, Serialize};
 use sha2::{Digest, Sha256};
 use std::path::{Path, PathBuf};
@@ -33,6 +33,8 @@ pub struct SceneInput {
     pub name: String,
     /// Its file.
     pub path: PathBuf,
+    /// What the ids of its labels stand for; if `None`, they are labels as they are.
+    pub label_ids: Option<LabelIds>,
     /// Which class each of its labels means, -1 for none; labels are classes without it.
     pub class_of: Option<Vec<i32>>,
 }
@@ -297,10 +299,13 @@ fn score(
     record: &mut SceneRecord,
 ) -> Result<(), ParetoError> {
     let input = &job.scenes[index];
-    let Run { opened, features, labels, .. } = job.run(input)?;
+    let Run { mut opened, features, labels, .. } = job.run(input)?;
     if labels_hash(&labels.labels) != record.prediction_hash {
         let (scene, repeat) = (input.name.clone(), job.repeats + 1);
         return Err(ParetoError::NotRepeatable { scene, repeat });
+    }
+    if let Some(ids) = input.label_ids {
+        ids.number(&mut opened.loaded.scene)?.decided()?;
     }
     let scene = &opened.loaded.scene;
     let truth = evaluation.truth(scene, input.class_of.as_deref())?;

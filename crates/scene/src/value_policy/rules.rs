@@ -109,7 +109,9 @@ value_rules! {
     NormalNotUnit: "normal", "norm other than 0 or 1", Accept, "divided by its norm";
     NormalAllZero: "normal", "0, 0, 0 in every row", Accept, "read as no normals";
     SegmentInvalid: "segment", "not a whole number of 32 bits", Repair, "becomes -1: no label";
-    SegmentNone: "segment", "negative, or 65535 in a 16-bit column", Accept, "becomes -1: no label";
+    SegmentNone: "segment", "negative, 65535 in a 16-bit column, or 255 without a name", Accept, "becomes -1: no label";
+    SegmentUnnamed: "segment", "an id that the list of classes has no name for", Accept, "becomes -1: no label";
+    SegmentFromOne: "segment", "an id that may count from 1", Accept, "read as counted from 0; label_base says otherwise";
     ScoreNan: "score", "NaN", Repair, "becomes 0";
     InstanceInvalid: "instance", "not a whole number of 32 bits", Repair, "becomes -1: none";
     InstanceNone: "instance", "negative, or 65535 in a 16-bit column", Accept, "becomes -1: none";
