@@ -134,7 +134,8 @@ impl Network {
                     .iter()
                     .map(|f| Ok((f.path().to_owned(), f.sha256()?)))
                     .collect::<Result<_, NetworkError>>()?;
-                (WeightSource::files(folder.files, options.source())?, files)
+                let source = WeightSource::files(folder.files, options.source())?;
+                (source.unwrapped(|shapes| config.model.fits(shapes))?, files)
             }
         };
         let store = ParamStore::frozen(source).on(device);

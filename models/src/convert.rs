@@ -39,6 +39,7 @@ pub struct NameRule {
 pub const RULES: &[NameRule] = &[
     rule("state_dict.", NameAction::Strip, "trainer checkpoint"),
     rule("module.", NameAction::Strip, "data-parallel training"),
+    rule("_orig_mod.", NameAction::Strip, "compiled module"),
     rule("backbone.", NameAction::Strip, "language or segmentation wrapper"),
     rule(
         "backbone_teacher.",
@@ -111,6 +112,8 @@ mod tests {
         let weight = |n: &str| Renamed::Weight(n.to_owned());
         let teacher = Branch::Teacher;
         assert_eq!(rename("module.backbone.enc.enc0.x", teacher), weight("enc.enc0.x"));
+        assert_eq!(rename("_orig_mod.module.backbone.enc.x", teacher), weight("enc.x"));
+        assert_eq!(rename("module.backbone._orig_mod.enc.x", teacher), weight("enc.x"));
         assert_eq!(rename("enc.enc0.x", teacher), weight("enc.enc0.x"));
         assert_eq!(rename("seg_head.weight", teacher), weight("seg_head.weight"));
         assert_eq!(rename("module.backbone_teacher.mask_token", teacher), weight("mask_token"));

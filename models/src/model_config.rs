@@ -91,13 +91,18 @@ impl ModelConfig {
         [Self::language(), Self::semseg(), Self::ssl(), Self::tiny()]
             .into_iter()
             .map(|config| config.adapted_to(shapes))
-            .find(|c| c.num_classes().is_some() == has_classes && c.backbone.get().fits(shapes))
+            .find(|c| c.num_classes().is_some() == has_classes && c.fits(shapes))
             .or_else(|| {
                 // Of a LitePT any head is as released as another.
                 lite.into_iter()
                     .map(|config| config.with_head_of(shapes).adapted_to(shapes))
-                    .find(|c| c.backbone.get().fits(shapes))
+                    .find(|c| c.fits(shapes))
             })
+    }
+
+    /// Whether names and shapes are those of this network's backbone, as far as they show.
+    pub fn fits(&self, shapes: &Shapes) -> bool {
+        self.backbone.get().fits(shapes)
     }
 
     /// With the head that a checkpoint has, or none.

@@ -80,6 +80,8 @@ pub struct LoadReport {
     pub misshaped: Vec<(String, Vec<usize>, Vec<usize>)>,
     /// Entries of the file that are no weights of this network, by the rule that knows them.
     pub ignored: Vec<(String, String)>,
+    /// What another program put before the names, if it did.
+    pub wrapper: Option<String>,
     /// Values of all parameters and buffers of the model.
     pub parameters: usize,
 }
@@ -139,6 +141,9 @@ impl fmt::Display for LoadReport {
             };
         let total = self.matched.len() + self.missing.len() + self.misshaped.len();
         write!(f, "{} of {total} entries matched; ", self.matched.len())?;
+        if let Some(wrapper) = &self.wrapper {
+            write!(f, "names are read without {wrapper}; ")?;
+        }
         some(f, "missing", &mut self.missing.iter().cloned())?;
         some(f, "unexpected", &mut self.unexpected.iter().cloned())?;
         let shapes = self.misshaped.iter();
@@ -245,6 +250,7 @@ impl ParamStore {
                 .map(|(n, (want, got))| (n.clone(), want.clone(), got.clone()))
                 .collect(),
             ignored: inner.source.ignored().to_vec(),
+            wrapper: inner.source.wrapper().map(str::to_owned),
             parameters: inner.requested.values().map(|s| s.iter().product::<usize>()).sum(),
         }
     }

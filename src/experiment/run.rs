@@ -181,6 +181,7 @@ fn parameters(config: &ExperimentConfig, device: &Device) -> Result<(ParamStore,
     };
     let files = resolve(path).at(|| path.display().to_string())?.files;
     let source = WeightSource::files(files, SourceOptions::default())?;
+    let source = source.unwrapped(|shapes| config.model.fits(shapes))?;
     let params = ParamStore::trainable_from(source, config.model_seed).on(device);
     // A trial build asks for every name, so that the report is complete before training begins.
     config.model.build(params.builder())?;

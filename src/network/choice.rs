@@ -124,7 +124,12 @@ pub fn network_of(
     if let (None, Some(config)) = (choice, &folder.config) {
         return NetworkConfig::read(config);
     }
-    let shapes = WeightSource::files(folder.files, options.source())?.shapes();
+    let source = WeightSource::files(folder.files, options.source())?;
+    let is_network = |shapes: &Shapes| match choice {
+        Some(choice) => choice.resolve_for(shapes).is_ok_and(|config| config.model.fits(shapes)),
+        None => ModelConfig::recognize(shapes).is_some(),
+    };
+    let shapes = source.unwrapped(is_network)?.shapes();
     match choice {
         Some(choice) => choice.resolve_for(&shapes),
         None => match ModelConfig::recognize(&shapes) {

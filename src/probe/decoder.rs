@@ -135,6 +135,8 @@ pub(super) fn train(
         EncoderValues::File(path) => {
             let files = resolve(path)?.files;
             let source = WeightSource::files(files, SourceOptions::default())?;
+            let source =
+                source.unwrapped(|shapes| config.model.fits(shapes) || encoder.fits(shapes))?;
             ParamStore::trainable_from(source, settings.seed)
         }
     };

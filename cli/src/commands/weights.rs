@@ -4,9 +4,9 @@ use crate::flags::{BranchArg, ConvLayoutArg, Shared};
 use crate::session::Session;
 use crate::terminal::print;
 use anyhow::Result;
-use scenesplat::models::LoadPolicy;
 use scenesplat::models::convert::{Renamed, rename};
 use scenesplat::models::weights::{WeightFile, WeightSource, resolve, summarize};
+use scenesplat::models::{LoadPolicy, ModelConfig};
 use scenesplat::network::{
     Network, NetworkChoice, NetworkConfig, WeightOptions, Weights as Source, config_beside,
     network_of,
@@ -51,7 +51,8 @@ pub fn run(args: &Args, line: &str) -> Result<()> {
         branch: args.branch.into(),
         conv_layout: args.conv_layout.into(),
     };
-    let shapes = WeightSource::files(folder.files, options.source())?.shapes();
+    let source = WeightSource::files(folder.files, options.source())?;
+    let shapes = source.unwrapped(|shapes| ModelConfig::recognize(shapes).is_some())?.shapes();
 
     let candidates: Vec<(String, NetworkConfig)> = match &args.config {
         Some(choice) => {

@@ -8,6 +8,7 @@ mod pickle;
 mod pth;
 mod save;
 mod source;
+mod wrapper;
 
 pub use file::{TensorEntry, WeightFile, read_single_tensor};
 pub use folder::{ModelFolder, resolve};

@@ -1,5 +1,6 @@
 //! Where a network's values come from.
 
+use super::wrapper::wrappers;
 use super::{WeightFile, hashed_parameter};
 use crate::convert::{Branch, ConvLayout, Renamed, rename};
 use candle_core::{Result, Tensor, bail};
@@ -24,7 +25,8 @@ enum Kind {
         entries: BTreeMap<String, (usize, String)>,
         files: Arc<Vec<WeightFile>>,
         ignored: Vec<(String, String)>,
-        layout: ConvLayout,
+        wrapper: Option<String>,
+        options: SourceOptions,
     },
     Tensors(BTreeMap<String, Tensor>),
 }
@@ -84,8 +86,56 @@ impl WeightSource {
             }
             ignored.extend(file.skipped().iter().map(|n| (n.clone(), "not a tensor".to_owned())));
         }
-        let layout = options.conv_layout;
-        Ok(Self(Kind::Files { entries, files: Arc::new(files), ignored, layout }))
+        let files = Arc::new(files);
+        Ok(Self(Kind::Files { entries, files, ignored, wrapper: None, options }))
+    }
+
+    /// The same by the names of a network that stands behind a prefix of another program (`model.net.`): the one behind
+    /// which names and shapes are a network. Without change where they are one as they stand, or nowhere.
+    ///
+    /// # Errors
+    /// If there is a network behind two prefixes and neither or both of them name the half that was chosen
+    /// ([`SourceOptions::branch`]), or two entries end up with the same name.
+    pub fn unwrapped(mut self, is_network: impl Fn(&Shapes) -> bool) -> Result<Self> {
+        let shapes = self.shapes();
+        let Kind::Files { entries, ignored, wrapper, options, .. } = &mut self.0 else {
+            return Ok(self);
+        };
+        let branch = options.branch;
+        let name_behind =
+            |name: &str, prefix: &str| match rename(name.strip_prefix(prefix)?, branch) {
+                Renamed::Weight(ours) => Some(ours),
+                Renamed::Ignored(_) => None,
+            };
+        let behind = |prefix: &str| -> Shapes {
+            let named =
+                shapes.iter().filter_map(|(n, s)| Some((name_behind(n, prefix)?, s.clone())));
+            named.collect()
+        };
+        let found = wrappers(&shapes, behind, is_network);
+        let Some(prefix) = chosen(&found, branch)? else { return Ok(self) };
+        for (name, entry) in std::mem::take(entries) {
+            match name.strip_prefix(prefix).map(|rest| rename(rest, branch)) {
+                None => _ = entries.insert(name, entry),
+                Some(Renamed::Ignored(origin)) => ignored.push((entry.1, origin.to_owned())),
+                Some(Renamed::Weight(ours)) => {
+                    let text = entry.1.clone();
+                    if let Some((_, other)) = entries.insert(ours.clone(), entry) {
+                        bail!("{other} and {text} both name {ours}");
+                    }
+                }
+            }
+        }
+        *wrapper = Some(prefix.to_owned());
+        Ok(self)
+    }
+
+    /// The prefix that [`unwrapped`](Self::unwrapped) found.
+    pub(crate) fn wrapper(&self) -> Option<&str> {
+        match &self.0 {
+            Kind::Files { wrapper, .. } => wrapper.as_deref(),
+            _ => None,
+        }
     }
 
     /// Shapes of all weights; none for hashed values, which have every shape.
@@ -95,10 +145,10 @@ impl WeightSource {
             Kind::Tensors(tensors) => {
                 tensors.iter().map(|(name, t)| (name.clone(), t.dims().to_vec())).collect()
             }
-            Kind::Files { entries, files, layout, .. } => entries
+            Kind::Files { entries, files, options, .. } => entries
                 .iter()
                 .map(|(name, (file, original))| {
-                    (name.clone(), stored_shape(&files[*file], original, *layout))
+                    (name.clone(), stored_shape(&files[*file], original, options.conv_layout))
                 })
                 .collect(),
         }
@@ -150,11 +200,12 @@ impl WeightSource {
                 Some(t) if t.dims() == shape => Found::Value(t.clone()),
                 Some(t) => Found::OtherShape(t.dims().to_vec()),
             }),
-            Kind::Files { entries, files, layout, .. } => {
+            Kind::Files { entries, files, options, .. } => {
+                let layout = options.conv_layout;
                 let Some((file, original)) = entries.get(name) else { return Ok(Found::Nothing) };
                 let file = &files[*file];
-                let stored = stored_shape(file, original, *layout);
-                let swap = *layout == ConvLayout::KernelInOut && stored.len() == 5;
+                let stored = stored_shape(file, original, layout);
+                let swap = layout == ConvLayout::KernelInOut && stored.len() == 5;
                 // Some exports keep single values as [1].
                 let single = shape.is_empty() && stored == [1];
                 if stored != shape && !single {
@@ -165,6 +216,24 @@ impl WeightSource {
                 value.contiguous()?.reshape(shape).map(Found::Value)
             }
         }
+    }
+}
+
+/// The prefix to take: the only one, or the one that names the half of a pair that was chosen.
+fn chosen<'a>(found: &[&'a str], branch: Branch) -> Result<Option<&'a str>> {
+    let (wanted, other) = match branch {
+        Branch::Teacher => ("teacher", "student"),
+        Branch::Student => ("student", "teacher"),
+    };
+    let of_branch = |p: &&str| p.contains(wanted) && !p.contains(other);
+    let named: Vec<&str> = found.iter().copied().filter(of_branch).collect();
+    match (found, &named[..]) {
+        ([], _) => Ok(None),
+        ([only], _) | (_, [only]) => Ok(Some(only)),
+        _ => bail!(
+            "there is more than one network in the file, behind {}: save the one that is meant by itself",
+            found.join(" and ")
+        ),
     }
 }
 

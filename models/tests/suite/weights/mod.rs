@@ -11,3 +11,4 @@ mod hostile_config;
 mod loading;
 mod network;
 mod round_trip;
+mod wrapper;
