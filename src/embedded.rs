@@ -60,7 +60,7 @@ mod tests {
 
     /// Measured once, over five rooms of this seed. The card states 0.770 for twenty (without surfaces); five hold fewer
     /// classes, and one that is predicted though no room has it counts 0, be it for a single Gaussian.
-    const F_MIOU: f64 = 0.7256;
+    const F_MIOU: f64 = 0.6873;
 
     /// Five rooms that no training saw: a change of the network, the rooms, the input or the inference
     /// that costs accuracy shows here.

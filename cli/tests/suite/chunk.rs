@@ -39,7 +39,7 @@ fn a_split_becomes_chunks_and_a_second_run_finds_them() {
 fn wrong_use_is_explained() {
     let folder = Folder::new();
     let cases = [
-        ("--grid 0", 2, "grid_size"),
+        ("--grid 0", 2, "meters above 0"),
         ("--stride 9 9", 2, "stride"),
         ("--range 9", 2, "range"),
         ("--split none", 1, "none"),

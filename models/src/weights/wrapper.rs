@@ -18,11 +18,11 @@ fn prefixes(names: &Shapes) -> Vec<&str> {
 
 /// The prefixes behind which there is a network: `behind` gives the names with their shapes that are left of those behind
 /// a prefix, `is_network` whether they are one. None if there is one without a prefix.
-pub(super) fn wrappers<'a>(
-    names: &'a Shapes,
+pub(super) fn wrappers(
+    names: &Shapes,
     behind: impl Fn(&str) -> Shapes,
     is_network: impl Fn(&Shapes) -> bool,
-) -> Vec<&'a str> {
+) -> Vec<&str> {
     if is_network(names) {
         return Vec::new();
     }

@@ -259,14 +259,14 @@ fn the_teacher_is_a_copy_that_follows_after_the_step() {
 #[test]
 fn a_teacher_begins_with_the_statistics_of_a_trained_student() {
     let params = ParamStore::trainable(3);
-    model(true).build(params.builder()).unwrap();
+    model(false).build(params.builder()).unwrap();
     for (name, var) in params.buffers() {
         let by = if name.ends_with("running_mean") { 0.25 } else { 0.5 };
         var.set(&(var.as_detached_tensor() + by).unwrap()).unwrap();
     }
     let trained = values(&params);
     let (config, input) = (settings(vec![simdino()]), InputFeatures::default());
-    let module = SelfSupervised::new(&config, &model(true), &input, params, 3).unwrap();
+    let module = SelfSupervised::new(&config, &model(false), &input, params, 3).unwrap();
     let teacher = module.teacher().unwrap();
     let own = values(teacher);
     assert!(teacher.buffers().len() > 4);
@@ -279,9 +279,11 @@ fn a_teacher_begins_with_the_statistics_of_a_trained_student() {
 fn the_teacher_drops_no_path() {
     // Its batch statistics after a step are of its own activations, which no path of the student changes.
     let statistics = |drop_path: f64, compat: Compat| {
-        let mut network = model(true);
+        let mut network = model(false);
         if let BackboneConfig::PointTransformerV3(config) = &mut network.backbone {
             config.drop_path = drop_path;
+            // Of one curve there is no order to draw, so that the student's draws leave the teacher's as they are.
+            config.order.truncate(1);
         }
         let config = SelfSupervisedConfig { compat, ..settings(vec![simdino()]) };
         let module = module(&config, &network);

@@ -109,7 +109,7 @@ fn malformed_inputs_are_named() {
         text(vote(&coord, &[0, 0], Some(&[true]), &coord, 1, 4)),
         "valid mask: expected 2 rows, got 1"
     );
-    assert_eq!(text(vote(&coord, &[0, 0], None, &coord, 0, 4)), "k is 0, expected at least 1");
+    assert_eq!(text(vote(&coord, &[0, 0], None, &coord, 0, 4)), "k is 0, expected 1 to 4096");
     assert!(text(vote(&coord, &[0, 0], None, &bad, 1, 4)).starts_with("query coord[1]"));
     assert!(text(vote(&bad, &[0, 0], None, &coord, 1, 4)).starts_with("reference coord[1]"));
     // A voter that does not vote may be anywhere.

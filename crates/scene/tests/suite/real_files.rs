@@ -196,7 +196,7 @@ fn what_is_no_scene_is_named() {
     for (name, what) in [
         ("real/scenes/arkit_brush/cameras.json", "cameras"),
         ("real/text_embeddings/manifest_text_embeddings.json", "JSON"),
-        ("real/posed/test_garden.npz", "zip archive"),
+        ("real/posed/test_garden.npz", "NumPy archive"),
         ("real/objects/playbot_sog2_lod/0_0/quats.webp", "no scene"),
     ] {
         let Some(path) = shared(name) else { continue };

@@ -161,7 +161,7 @@ fn wide_table(trial: &Trial<'_>) -> Result<(), Failure> {
 
 fn camera_size(trial: &Trial<'_>) -> Result<(), Failure> {
     let text = r#"[{"id": 0, "img_name": "a", "width": 4294967295, "height": 4294967295,
-        "position": [0, 0, 0], "rotation": [[1, 0, 0], [0, 1, 0], [0, 0, 1]], "fx": 50, "fy": 50}]"#;
+        "position": [0, 0, 0], "rotation": [[1, 0, 0], [0, 1, 0], [0, 0, 1]], "fx": 4e9, "fy": 4e9}]"#;
     let path: &Path = &trial.file("cameras.json", text.as_bytes())?;
     let cameras = open_cameras(path)?.cameras;
     refused(View::from_camera(&cameras[0]), &["4294967295"])
