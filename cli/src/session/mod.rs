@@ -15,16 +15,16 @@ use crate::flags::{Inference, NetworkArgs, Shared};
 use crate::outputs::Outputs;
 use crate::progress::{Progress, interrupted};
 use crate::receipt::Receipt;
-use anyhow::Result;
+use anyhow::{Context, Result};
 pub use open::FeatureSource;
 use scenesplat::alignment::Alignment;
 use scenesplat::inference::EncodeError;
 use scenesplat::kernels::simd::Isa;
 use scenesplat::network::{NetworkChoice, Weights};
 use scenesplat::outputs::OpenedScene;
-use scenesplat::scene::frame_files::FoundFiles;
+use scenesplat::scene::frame_files::{FoundFiles, FrameFiles};
 use std::cell::RefCell;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 /// A running command.
 pub struct Session<'a> {
@@ -106,6 +106,29 @@ impl<'a> Session<'a> {
         let text = text.into();
         self.progress.say(&text);
         self.receipt.warning(text);
+    }
+
+    /// The files of some kind that belong to cameras, in the folder that a flag names; says how many were found.
+    ///
+    /// # Errors
+    /// If the folder cannot be read, two files fit one camera, or none has one.
+    pub fn files_of_cameras(
+        &self,
+        (flag, folder): (&str, &Path),
+        (what, endings): (&str, &[&str]),
+        cameras: &[&str],
+    ) -> Result<Vec<Option<PathBuf>>> {
+        let files = FrameFiles::open(folder, endings).context(flag.to_owned())?;
+        let found = files.find(cameras)?;
+        anyhow::ensure!(
+            found.num_found() > 0,
+            "{flag} {}: holds the {what} of none of the {} cameras ({:?}, …)",
+            folder.display(),
+            cameras.len(),
+            cameras.first().unwrap_or(&"")
+        );
+        self.tell_found(what, &found);
+        Ok(found.files.iter().map(|file| file.map(|file| files.path(file))).collect())
     }
 
     /// Says how many cameras have a file of some kind and how many have none; if any, that is a warning.

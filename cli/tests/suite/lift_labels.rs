@@ -241,7 +241,8 @@ fn photos_are_looked_at_and_change_nothing_unless_they_are_blurred() {
     has(&world.receipt(), &["photos/blur", "frame_weights"]);
     // Wrong folders and sizes are named.
     render("large", "--size 128x96");
-    for (folder, part) in [("segments", "no photo is named like a camera"), ("large", "[128, 96]")]
+    for (folder, part) in
+        [("segments", "holds the photo of none of the 2 cameras"), ("large", "[128, 96]")]
     {
         refused(&world.lift(&format!("--photos {}", world.0.at(folder))), 1, &[part]);
     }

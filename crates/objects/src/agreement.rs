@@ -84,3 +84,50 @@ impl Agreement {
 fn share(part: usize, of: usize) -> f64 {
     if of == 0 { 1.0 } else { part as f64 / of as f64 }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::catalogue::Object;
+    use crate::{Floor, UprightBox};
+
+    fn object(label: usize, rows: std::ops::Range<u32>) -> Object {
+        let bounds = UprightBox { center: [0.0; 3], size: [1.0; 3], yaw: 0.0 };
+        Object {
+            id: 0,
+            class: label.to_string(),
+            label,
+            score: None,
+            count: rows.len(),
+            bounds,
+            position: [0.0; 3],
+            corners: bounds.corners(),
+            volume: 1.0,
+            above_floor: 0.0,
+            wall_distance: None,
+            rows: rows.collect(),
+        }
+    }
+
+    #[test]
+    fn a_match_needs_the_class_and_more_than_half_of_both() {
+        // Three true things of ten Gaussians: two chairs (1) and a table (2).
+        let instances: Vec<i32> = (0..30).map(|row| row / 10).collect();
+        let labels: Vec<i32> = (0..30).map(|row| if row < 20 { 1 } else { 2 }).collect();
+        let found = Catalogue {
+            // Eight of the first; one that covers the second and what lies around it; the third as a chair.
+            objects: vec![object(1, 0..8), object(1, 5..25), object(1, 20..30)],
+            floor: Floor { height: 0.0, is_labelled: true, is_given: false },
+            left_over: 0,
+            small_instances: 0,
+            nameless_instances: 0,
+            gaussians: 30,
+        };
+        let agreement = Agreement::of(&found, &instances, &labels, 1);
+        assert_eq!(agreement.matches, [Match { found: 0, truth: 0, iou: 0.8 }]);
+        assert_eq!((&agreement.wrong[..], &agreement.missed[..]), (&[1, 2][..], &[1, 2][..]));
+        assert_eq!((agreement.precision(), agreement.recall()), (1.0 / 3.0, 1.0 / 3.0));
+        // What is too small to ask for is not missed.
+        assert_eq!(Agreement::of(&found, &instances, &labels, 11).recall(), 1.0);
+    }
+}

@@ -151,5 +151,7 @@ mod tests {
         // No desk is near itself.
         let near_furniture = related(&room, |_| true, Relation::Near, |o| o.class == "desk");
         assert!(!near_furniture.contains(&0) && near_furniture.contains(&1), "{near_furniture:?}");
+        // The lamp at the ceiling is 1.3 m above it.
+        assert!(!near_furniture.contains(&3), "{near_furniture:?}");
     }
 }

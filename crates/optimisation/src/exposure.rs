@@ -85,4 +85,14 @@ mod tests {
         assert!(found[3..].iter().all(|o| (o - 0.05).abs() < 0.02), "{found:?}");
         assert_eq!(exposure.of(0), [1.0, 1.0, 1.0, 0.0, 0.0, 0.0]);
     }
+
+    #[test]
+    fn a_picture_gets_its_slope_through_the_gain() {
+        let mut exposure = Exposure::new(2);
+        exposure.values[6..9].copy_from_slice(&[2.0, 3.0, 0.5]);
+        let mut slope = [1.0, -1.0, 4.0, 0.0, 2.0, 1.0];
+        exposure.learn(1, &[0.5; 6], &mut slope, 0.01);
+        // The gain with which the picture was made, not the one after the step.
+        assert_eq!(slope, [2.0, -3.0, 2.0, 0.0, 6.0, 0.5]);
+    }
 }

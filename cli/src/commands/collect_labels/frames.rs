@@ -6,7 +6,7 @@ use crate::session::Session;
 use anyhow::{Context, Result};
 use scenesplat::collection::{PhotoRemark, fit_photo};
 use scenesplat::rasterizer::View;
-use scenesplat::scene::frame_files::{FrameFiles, PICTURES, frame_names};
+use scenesplat::scene::frame_files::{PICTURES, frame_names};
 use scenesplat::scene::picture::RgbPicture;
 use scenesplat::scene::{Camera, open_cameras};
 use std::path::{Path, PathBuf};
@@ -38,23 +38,14 @@ pub(super) fn of_photos(session: &Session<'_>, args: &Args) -> Result<Vec<Frame>
         View::from_camera(camera).with_context(|| file.display().to_string())?;
     }
     let names: Vec<&str> = set.cameras.iter().map(|camera| camera.name.as_str()).collect();
-    let files = FrameFiles::open(folder, PICTURES)?;
-    let found = files.find(&names)?;
-    anyhow::ensure!(
-        found.num_found() > 0,
-        "--images {}: holds the photo of none of the {} cameras ({:?}, …)",
-        folder.display(),
-        names.len(),
-        names.first().unwrap_or(&"")
-    );
-    session.tell_found("photo", &found);
-    let photos = found.files.iter().enumerate().filter_map(|(i, file)| Some((i, (*file)?)));
-    let photos: Vec<(usize, usize)> = photos.collect();
-    let unique = frame_names(photos.iter().map(|&(i, _)| (i, names[i])));
-    let frame = |((i, file), name): ((usize, usize), String)| Frame {
+    let photos = session.files_of_cameras(("--images", folder), ("photo", PICTURES), &names)?;
+    let photos = photos.into_iter().enumerate().filter_map(|(i, file)| Some((i, file?)));
+    let photos: Vec<(usize, PathBuf)> = photos.collect();
+    let unique = frame_names(photos.iter().map(|(i, _)| (*i, names[*i])));
+    let frame = |((i, photo), name): ((usize, PathBuf), String)| Frame {
         name,
         camera: set.cameras[i].clone(),
-        photo: Some(files.path(file)),
+        photo: Some(photo),
     };
     Ok(photos.into_iter().zip(unique).map(frame).collect())
 }

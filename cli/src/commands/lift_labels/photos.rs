@@ -9,7 +9,7 @@ use scenesplat::rasterizer::{
     SceneProfile,
 };
 use scenesplat::scene::Camera;
-use scenesplat::scene::frame_files::{FrameFiles, PICTURES};
+use scenesplat::scene::frame_files::PICTURES;
 use scenesplat::scene::picture::read_picture;
 use scenesplat_lab::capture::CaptureProbe;
 use scenesplat_lab::compensation::render_section;
@@ -45,23 +45,15 @@ impl Args {
             return Ok(weights);
         };
         let _stage = session.receipt.stage("photos");
-        let files = FrameFiles::open(folder, PICTURES).context("--photos")?;
-        let found = files.find(names)?;
-        anyhow::ensure!(
-            found.num_found() > 0,
-            "--photos {}: no photo is named like a camera ({:?}, …)",
-            folder.display(),
-            names.first().unwrap_or(&"")
-        );
-        session.tell_found("photo", &found);
+        let photos = session.files_of_cameras(("--photos", folder), ("photo", PICTURES), names)?;
         let prepared = prepare(session, (gaussians, antialiased))?;
         let mut probe = CaptureProbe::new(&prepared);
         let mut seen = Vec::new();
-        for (number, (camera, file)) in cameras.iter().zip(&found.files).enumerate() {
+        for (number, (camera, file)) in cameras.iter().zip(&photos).enumerate() {
             session.check_stop()?;
             session.progress.advance("photos", number as f64 / cameras.len() as f64);
-            let Some(path) = file.map(|file| files.path(file)) else { continue };
-            let photo = read_picture(&path)?.over_black();
+            let Some(path) = file else { continue };
+            let photo = read_picture(path)?.over_black();
             probe.add(camera, &photo).with_context(|| path.display().to_string())?;
             seen.push(number);
         }

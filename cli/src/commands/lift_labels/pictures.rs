@@ -9,7 +9,7 @@ use scenesplat::rasterizer::segments::{
     CameraMatches, FrameSegments, SegmentFolder, SegmentOptions,
 };
 use scenesplat::scene::formats::depth_map::read_depth;
-use scenesplat::scene::frame_files::{DEPTHS, FrameFiles};
+use scenesplat::scene::frame_files::DEPTHS;
 use scenesplat::scene::{Camera, open_cameras};
 use std::path::{Path, PathBuf};
 
@@ -148,17 +148,7 @@ impl LiftArgs {
                 scale: self.depth_scale,
             });
         };
-        let files = FrameFiles::open(folder, DEPTHS).context("--depth")?;
-        let found = files.find(cameras)?;
-        anyhow::ensure!(
-            found.num_found() > 0,
-            "--depth {}: holds the depth of none of the {} cameras ({:?}, …)",
-            folder.display(),
-            cameras.len(),
-            cameras.first().unwrap_or(&"")
-        );
-        session.tell_found("depth", &found);
-        let files = found.files.iter().map(|file| file.map(|file| files.path(file))).collect();
+        let files = session.files_of_cameras(("--depth", folder), ("depth", DEPTHS), cameras)?;
         Ok(MeasuredDepths { files, scale: self.depth_scale })
     }
 }

@@ -103,3 +103,46 @@ impl PromptEncoder {
         out
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn each_point_gets_the_vector_of_its_label() {
+        // Without a direction every place is (0, 1); the labels' vectors are ten times their numbers.
+        let encoder = PromptEncoder {
+            width: 2,
+            size: 64.0,
+            gaussian: vec![0.0; 2],
+            labels: [0.0, 10.0, 20.0, 30.0].map(|v| vec![v, v]),
+            no_point: vec![-1.0, -2.0],
+            no_mask: vec![0.0; 2],
+        };
+        use PointLabel::{BoxEnd, BoxStart, Inside, Outside};
+        let points =
+            [Outside, Inside, BoxStart, BoxEnd].map(|label| PromptPoint { at: [3.0, 5.0], label });
+        let due = [0.0, 1.0, 10.0, 11.0, 20.0, 21.0, 30.0, 31.0, -1.0, -2.0];
+        assert_eq!(encoder.tokens(&points), due);
+    }
+
+    #[test]
+    fn the_grid_runs_along_the_rows() {
+        // A turn of an eighth a picture, by the column alone.
+        let encoder = PromptEncoder {
+            width: 2,
+            size: 64.0,
+            gaussian: vec![0.125, 0.0],
+            labels: [0.0; 4].map(|v| vec![v; 2]),
+            no_point: vec![0.0; 2],
+            no_mask: vec![0.0; 2],
+        };
+        let grid = encoder.grid(2);
+        // Columns at a quarter and at three quarters: -1/16 and 1/16 of a turn.
+        let sines: Vec<f32> = grid.chunks_exact(2).map(|row| row[0]).collect();
+        let due = (std::f32::consts::TAU / 16.0).sin();
+        for (sine, due) in sines.iter().zip([-due, due, -due, due]) {
+            assert!((sine - due).abs() < 1e-6, "{sines:?}");
+        }
+    }
+}
