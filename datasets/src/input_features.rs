@@ -109,7 +109,7 @@ mod scale_clip {
     pub(super) fn deserialize<'de, D: Deserializer<'de>>(
         deserializer: D,
     ) -> Result<Option<[f32; 2]>, D::Error> {
-        let wrong = || de::Error::custom("scale_clip: expected [low, high] in metres or \"none\"");
+        let wrong = || de::Error::custom("scale_clip: expected [low, high] in meters or \"none\"");
         match Clip::deserialize(deserializer).map_err(|_| wrong())? {
             Clip::Limits(limits) => Ok(Some(limits)),
             Clip::Null(()) => Ok(None),

@@ -23,6 +23,8 @@ export interface About {
   texts: string[];
   colorWords: string[];
   groups: { name: string; members: number[] }[];
+  /** Articles, and names with their classes, in German and French. */
+  foreign: { articles: string[]; names: [string, number][] };
   /** Words that deny what follows. */
   denials: string[];
   /** Words for places, and the relation of objects that they are, if any. */

@@ -64,6 +64,8 @@ export class PhraseBook {
   private groups = new Map<string, number[]>();
   private known = new Set<string>();
   private colors: Set<string>;
+  private articles: Set<string>;
+  private foreign: Map<string, number>;
 
   constructor(private data: SceneData) {
     data.about.texts.forEach((name, i) => {
@@ -79,6 +81,8 @@ export class PhraseBook {
       for (const word of key.split(" ")) this.known.add(word);
     }
     this.colors = new Set(data.about.colorWords);
+    this.articles = new Set(data.about.foreign.articles);
+    this.foreign = new Map(data.about.foreign.names);
   }
 
   /** Whether a phrase denies what it names; a name of the scene denies nothing. */
@@ -136,6 +140,8 @@ export class PhraseBook {
       const names = group.map((m) => this.data.about.classes[m].name);
       return { text: -1, label: -1, members: group, how: names.join(", "), isUnknown: false };
     }
+    const foreign = this.foreignClass(text);
+    if (foreign !== null) return this.ofText(foreign, `taken as “${this.data.about.classes[foreign].name}”`);
     const remarks: string[] = [];
     const right = typed.map((word) => {
       if (this.known.has(word) || word.length < 4) return word;
@@ -158,6 +164,13 @@ export class PhraseBook {
     remarks.push(`taken as “${name}” (${score.toFixed(2)}${score < SURE ? ", not sure" : ""})`);
     const painted = colors.length > 0 ? this.texts.get([colors[0], ...words(name).map(singular)].join(" ")) : undefined;
     return this.ofText(painted ?? label, remarks.join("; "));
+  }
+
+  /** The class whose name in German or French a phrase is. */
+  private foreignClass(text: string): number | null {
+    const all = words(text.replace(/(^|\s)[ldjc]['’]/giu, "$1"));
+    const at = all.findIndex((word) => !this.articles.has(word));
+    return at < 0 ? null : this.foreign.get(all.slice(at).join(" ")) ?? null;
   }
 
   private ofText(text: number, how: string): Meaning {

@@ -53,6 +53,7 @@ function scene({ Codes }) {
     about: {
       count: n, total: 9, classes, objects: [object(1, 0), object(2, 1), object(3, 2)],
       relations: [[2, "on", 1], [0, "near", 1], [1, "under", 2]], texts: ["chair", "desk", "lamp", "red chair"], colorWords: ["red"],
+      foreign: { articles: ["der", "une", "dans"], names: [["stuhl", 0], ["sessel", 0], ["bureau", 1], ["abat jour", 2]] },
       denials: ["not", "no", "except", "other than"], places: [["on", "on"], ["on top of", "on"], ["under", "under"], ["left of", null]],
       groups: [{ name: "furniture", members: [0, 1] }], codes: { width: 3, slots: 5 }, hasScores: true, phrases: 2,
       metresPerUnit: 1, title: "t", remarks: [], chunks: null,
@@ -155,6 +156,12 @@ export async function check(m) {
   assert.match(ask("work table").how, /taken as “desk”/);
   assert.match(ask("chiar").how, /“chiar” taken as “chair”/);
   assert.deepEqual([ask("xqzzt").isUnknown, chosen(ask("xqzzt"))], [true, [0, 0, 0, 0, 0, 0]]);
+  // Names in other languages, with their articles; a sentence around them is none.
+  for (const [name, as] of [["der Stuhl", "chair"], ["Sessel", "chair"], ["une bureau", "desk"], ["l’abat-jour", "lamp"]]) {
+    assert.equal(ask(name).how, `taken as “${as}”`);
+    assert.deepEqual(chosen(ask(name)), chosen(ask(as)));
+  }
+  assert.deepEqual([ask("zwei Stuhl").isUnknown, ask("der").isUnknown], [true, true]);
   // Relations go one way.
   assert.deepEqual(ask("the lamp on the desk").objects, [2]);
   assert.deepEqual(ask("desk on the lamp").objects, []);

@@ -141,6 +141,7 @@ fn about(
         "relations": related.pairs,
         "texts": codes.map_or(input.names, |c| c.names.as_slice()),
         "colorWords": words.colors,
+        "foreign": { "articles": words.foreign.0, "names": words.foreign.1 },
         "groups": words.groups,
         "denials": denial_words(),
         "places": place_words(),

@@ -4,7 +4,7 @@ use super::PageError;
 use rayon::prelude::*;
 use scenesplat_rooms::Group;
 use scenesplat_rooms::{CLASSES, ColorName, Vocabulary};
-use scenesplat_text::PhraseTable;
+use scenesplat_text::{PhraseTable, foreign_names};
 use serde_json::{Value, json};
 
 /// Classes that are noted of a phrase.
@@ -22,6 +22,8 @@ pub(super) struct Words {
     pub(super) groups: Vec<Value>,
     /// Words for colors that can stand before a class.
     pub(super) colors: Vec<&'static str>,
+    /// Articles, and names with their classes, in German and French.
+    pub(super) foreign: (Vec<&'static str>, Vec<(String, usize)>),
 }
 
 impl Words {
@@ -64,6 +66,7 @@ impl Words {
         });
         let near: Vec<u8> = near.collect::<Vec<_>>().into_iter().flatten().collect();
         let (mut groups, mut colors) = (Vec::new(), Vec::new());
+        let mut foreign = Default::default();
         if vocabulary.is_some() {
             for group in Group::ALL {
                 let members: Vec<usize> =
@@ -73,7 +76,29 @@ impl Words {
                 );
             }
             colors = ColorName::ALL.iter().map(|c| c.word()).collect();
+            let (articles, named) = foreign_names();
+            let named = named.into_iter().map(|(name, class)| (name, class.index()));
+            foreign = (articles.to_vec(), named.collect());
         }
-        Ok(Self { phrases: table.phrases().to_vec(), near, groups, colors })
+        Ok(Self { phrases: table.phrases().to_vec(), near, groups, colors, foreign })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn names_in_other_languages_have_the_number_of_their_class() {
+        let names: Vec<String> = CLASSES.iter().map(|c| c.name.to_owned()).collect();
+        let words = Words::of(&names, Some(&Vocabulary::new(64).unwrap())).unwrap();
+        for (name, class) in [("stühle", "chair"), ("stuehle", "chair"), ("fenetre", "window")] {
+            let found = words.foreign.1.iter().find(|(own, _)| own == name).unwrap();
+            assert_eq!(names[found.1], class, "{name}");
+        }
+        assert!(words.foreign.0.contains(&"der"));
+        // Classes of somebody else have no names but their own.
+        let other = Words::of(&names, None).unwrap();
+        assert!(other.foreign.1.is_empty());
     }
 }

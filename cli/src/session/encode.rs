@@ -93,7 +93,7 @@ impl Session<'_> {
             Fidelity::Exact => "exact".to_owned(),
         };
         self.receipt.setting("fidelity", fidelity, why);
-        self.receipt.setting("grid_size", encoder.grid_size, "metres");
+        self.receipt.setting("grid_size", encoder.grid_size, "meters");
         if inference.shuffle_orders {
             self.receipt.setting("shuffle_orders", inference.seed, "seed");
         }

@@ -55,6 +55,11 @@ fn objects_are_listed_drawn_exported_and_taken_out() {
     assert_eq!(edited.len(), scene.len() - gone);
     assert!(edited.segment.unwrap().iter().all(|l| *l != 0));
 
+    // What a phrase denies is told by the objects that remain; a place that objects do not tell is refused.
+    let said = printed(&run("--find 'not a wall'"));
+    assert!(!said.contains("\"wall\": "), "{said}");
+    has(&said, &["floor"]);
+    refused(&run("--find 'table left of a wall'"), 2, &["left of"]);
     done(&run("--keep floor --pieces"));
     assert!(read(out("edited.ply")).segment.unwrap().iter().all(|l| *l == 1));
     for (more, part) in [

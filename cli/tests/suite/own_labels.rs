@@ -1,6 +1,6 @@
 //! Labels that scenes carry, and the names that their ids stand for.
 
-use crate::support::{Folder, done, has, json, refused, room, run, stderr};
+use crate::support::{Folder, done, has, json, process, refused, room, run, stderr, words};
 use scenesplat::scene::GaussianScene;
 
 /// A room whose labels went through `change`.
@@ -68,6 +68,12 @@ fn ids_without_a_name_are_counted_as_unlabelled() {
     let output = evaluate(&none, &format!("--label-names {names}"));
     done(&output);
     has(&stderr(&output), &["none.ply", "5 labels are 255"]);
+    let grid = folder.at("grid.toml");
+    folder.write("grid.toml", "reference = \"voxel=0.4,k=1\"\n");
+    let line = format!("pareto --grid {grid} --scenes {stray} --label-names {names} --repeats 1");
+    let output = process(&words(&format!("{line} --out {}", folder.at("pareto"))));
+    done(&output);
+    has(&stderr(&output), &["stray.ply", "99: 3", "unlabeled"]);
     // Without names they are of another list.
     let output = evaluate(&stray, "");
     refused(&output, 1, &["99: 3", "give the names with --label-names"]);

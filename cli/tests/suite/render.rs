@@ -109,6 +109,23 @@ fn an_orbit_shows_the_scene_from_all_sides_whatever_the_threads() {
 }
 
 #[test]
+fn the_mark_of_antialiased_training_is_followed_unless_a_flag_says_otherwise() {
+    // Thinner than a pixel: the blur makes them wider, and the mark says that they are to be fainter for it.
+    let thin = balls(vec![[0.0, 0.0, 2.0], [0.3, 0.1, 3.0]], 0.004, 9.0);
+    let plain = Place::new(&thin);
+    let marked = Place::new(&GaussianScene { antialiased: true, ..thin });
+    let picture = |place: &Place, more: &str| {
+        done(&place.render("out", &format!("--eye 0,0,0 --target 0,0,1 --size 48x32 {more}")));
+        bytes(place.0.path("out/view.png"))
+    };
+    let (faint, full) = (picture(&marked, ""), picture(&plain, ""));
+    assert_ne!(faint, full);
+    assert_eq!(picture(&marked, "--antialiased=false"), full);
+    assert_eq!(picture(&plain, "--antialiased"), faint);
+    assert_eq!(picture(&marked, "--antialiased=true"), faint);
+}
+
+#[test]
 fn a_camera_by_flags() {
     let place = Place::new(&sphere());
     // From behind, on the other side of the hidden green one.

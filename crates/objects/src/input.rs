@@ -49,7 +49,7 @@ impl ObjectInput<'_> {
         let axes = "a rotation: three axes of length 1, at right angles";
         check_setting(is_rotation(&upright), "upright", format!("{upright:?}"), axes)?;
         let floor = self.floor.unwrap_or_default();
-        check_setting(floor.is_finite(), "floor", floor, "a finite height, metres")
+        check_setting(floor.is_finite(), "floor", floor, "a finite height, meters")
     }
 
     /// Positions in meters with +z up.

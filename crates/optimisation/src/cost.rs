@@ -95,9 +95,36 @@ pub fn memory_of(settings: &OptimiseSettings, gaussians: usize, frames: &[Traini
     pictures + 120 * pixels + 2 * each * gaussians as u64
 }
 
+/// The most Gaussians that there may be after the next refinement of so many.
+pub fn next_count(settings: &OptimiseSettings, gaussians: usize) -> usize {
+    let grown = match &settings.strategy {
+        Strategy::Mcmc(s) => s.grown(gaussians),
+        // Each may be halved, and goes only when its halves are there.
+        Strategy::Default(_) => 3 * gaussians,
+        Strategy::Fixed => gaussians,
+    };
+    cap_of(settings).map_or(grown, |cap| grown.min(cap.max(gaussians)))
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn the_next_refinement_adds_a_twentieth_or_triples_up_to_the_cap() {
+        let mut settings = OptimiseSettings::scenesplat();
+        let Strategy::Mcmc(mcmc) = &mut settings.strategy else { panic!("not MCMC") };
+        (mcmc.cap, mcmc.few) = (5000, 100);
+        assert_eq!(
+            [99, 1000, 4900, 6000].map(|n| next_count(&settings, n)),
+            [198, 1050, 5000, 6000]
+        );
+        settings.strategy =
+            Strategy::Default(crate::DefaultSettings { cap: 2500, ..Default::default() });
+        assert_eq!([500, 1000].map(|n| next_count(&settings, n)), [1500, 2500]);
+        settings.strategy = Strategy::Fixed;
+        assert_eq!(next_count(&settings, 7), 7);
+    }
 
     #[test]
     fn a_run_fits_its_time() {

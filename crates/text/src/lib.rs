@@ -24,7 +24,9 @@ pub use ask::{AskError, Asked, Known};
 pub use bridge::Bridge;
 pub use encoder::{Encoded, TextEncoder, Truncated};
 pub use error::PhraseError;
-pub use grammar::{Denied, Phrase, Placed, Remaining, denial_words, named_labels, place_words};
+pub use grammar::{
+    Denied, Phrase, Placed, Remaining, denial_words, foreign_names, named_labels, place_words,
+};
 pub use guess::{Guess, USUAL_COSINE, guess};
 pub use phrases::{PhraseTable, Understood, normalized};
 pub use query::Query;

@@ -26,6 +26,7 @@ fn central_differences() {
         let gradient = case.run(DType::F64).1;
         let largest = largest(&gradient);
         assert!(largest > 1e-3, "{}: nothing moves", case.name);
+        let mut worst = 0.0f64;
         for (i, got) in gradient.iter().enumerate() {
             let at = |step: f64| {
                 let mut values = case.pred.clone();
@@ -36,7 +37,9 @@ fn central_differences() {
             // Rounding of a difference of f64 values near 1, divided by the step.
             let allowed = 2e-9 + 1e-7 * largest;
             assert!((got - want).abs() < allowed, "{} [{i}]: {got:e} and {want:e}", case.name);
+            worst = worst.max((got - want).abs() / allowed);
         }
+        println!("{}: {:.1} % of what is allowed", case.name, 100.0 * worst);
     }
 }
 

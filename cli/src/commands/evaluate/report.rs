@@ -20,7 +20,7 @@ pub fn tell_oracle(session: &Session<'_>, names: &[String], report: &OracleRepor
         ));
     }
     print(&format!(
-        "{}: oracle matches its analytic value on {} labelled Gaussians, {} scored points: mIoU {}, \
+        "{}: oracle matches its analytic value on {} labeled Gaussians, {} scored points: mIoU {}, \
          allAcc {}",
         path.display(),
         report.num_labelled,

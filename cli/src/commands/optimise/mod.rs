@@ -73,6 +73,13 @@ pub fn run(args: &Args, line: &str) -> Result<()> {
             "the time is over at step {done} of {total}: the scene is as it is there"
         ));
     }
+    if let Some((next, more)) = ran.out_of_memory {
+        let (done, total) = (optimiser.steps_done(), optimiser.settings().steps);
+        session.warn(format!(
+            "{next} Gaussians need {more} more, which the system does not give this process: the scene is as it is at \
+             step {done} of {total}; a smaller --cap, or --max-memory, goes on to the end"
+        ));
+    }
     let mut kept = frames.placed(args.finish(&session, &optimiser, &frames, &ran)?);
     kept.antialiased = optimiser.settings().antialiased;
     session.write("scene.ply", |path| write_inria_ply(&kept, &[], path))?;

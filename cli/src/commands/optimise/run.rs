@@ -1,4 +1,4 @@
-//! The loop of `optimise`: steps, progress, previews, checkpoints, the end of the time.
+//! The loop of `optimise`: steps, progress, previews, checkpoints, the end of time or memory.
 
 use super::Args;
 use super::frames::Frames;
@@ -7,7 +7,9 @@ use super::previews::Previews;
 use crate::progress::interrupted;
 use crate::session::Session;
 use anyhow::Result;
-use scenesplat::optimisation::{MeanScore, Optimiser, score_frame};
+use scenesplat::memory::{Bytes, can_reserve};
+use scenesplat::optimisation::cost::{memory_of, next_count};
+use scenesplat::optimisation::{MeanScore, Optimiser, TrainingFrame, score_frame};
 use serde::Serialize;
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
@@ -53,6 +55,8 @@ pub(super) struct Ran {
     /// Somebody asked to stop; the checkpoint is there.
     pub(super) stopped: Option<PathBuf>,
     pub(super) out_of_time: bool,
+    /// Gaussians that the next refinement may have had, and bytes that they need: the system does not give them.
+    pub(super) out_of_memory: Option<(usize, Bytes)>,
 }
 
 /// Sums over a window of steps.
@@ -85,10 +89,15 @@ impl Args {
         let deadline = self.budget.map(|b| began + Duration::from_secs_f64(b.0));
         let mut ran = Ran::default();
         let mut window = Window::default();
+        let mut checked = 0;
         while optimiser.steps_done() < total {
             let start = Instant::now();
             if deadline.is_some_and(|deadline| start > deadline) {
                 ran.out_of_time = true;
+                break;
+            }
+            ran.out_of_memory = lacks_memory(optimiser, &frames.train, &mut checked);
+            if ran.out_of_memory.is_some() {
                 break;
             }
             let report = optimiser.step(&frames.train)?;
@@ -145,6 +154,23 @@ impl Args {
             gaussians: optimiser.model().len(),
         })
     }
+}
+
+/// What the next refinement may need and the system does not give: to run out of it there would end the program without a
+/// word. `checked` is the number of Gaussians at the last look; it has to change for another one.
+fn lacks_memory(
+    optimiser: &Optimiser,
+    frames: &[TrainingFrame],
+    checked: &mut usize,
+) -> Option<(usize, Bytes)> {
+    let (settings, now) = (optimiser.settings(), optimiser.model().len());
+    let next = next_count(settings, now);
+    if next == now || std::mem::replace(checked, now) == now {
+        return None;
+    }
+    let need = |gaussians| memory_of(settings, gaussians, frames);
+    let more = need(next) - need(now);
+    (!can_reserve(more)).then_some((next, Bytes(more)))
 }
 
 /// Where checkpoints are.

@@ -214,6 +214,13 @@ impl<'a> Campaign<'a> {
             let Measured { setting: mut record, bounds } =
                 self.measure(setting, set, self.repeats, &beside, labels)?;
             if is_reference {
+                for scene in &record.per_scene {
+                    if let Some(lost) = &scene.unnamed {
+                        let name = &scene.name;
+                        self.progress
+                            .say(format!("  WARNING: {name}: {lost}: counted as unlabeled"));
+                    }
+                }
                 record.agreement = Some(1.0);
                 for row in bounds.into_iter().flatten() {
                     if records.find(row.kind, &row.setting, None, &set.name).is_none() {

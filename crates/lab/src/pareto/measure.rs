@@ -305,7 +305,9 @@ fn score(
         return Err(ParetoError::NotRepeatable { scene, repeat });
     }
     if let Some(ids) = input.label_ids {
-        ids.number(&mut opened.loaded.scene)?.decided()?;
+        let found = ids.number(&mut opened.loaded.scene)?;
+        record.unnamed = found.unnamed_text();
+        found.decided()?;
     }
     let scene = &opened.loaded.scene;
     let truth = evaluation.truth(scene, input.class_of.as_deref())?;

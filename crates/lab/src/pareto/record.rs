@@ -55,6 +55,9 @@ pub struct SceneRecord {
     pub agreement: Option<f64>,
     /// SHA-256 of its labels.
     pub prediction_hash: String,
+    /// Ids in its own labels that have no name, in words; they count as unlabeled.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub unnamed: Option<String>,
 }
 
 /// A line of `records.jsonl`. Field names are stable. Shares are 0..=1, times seconds.

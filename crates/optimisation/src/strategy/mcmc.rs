@@ -64,6 +64,12 @@ impl McmcSettings {
         within("min_opacity", self.min_opacity.into(), opacity, "between 0 and 1")
     }
 
+    /// How many come of so many, but for the cap.
+    pub(crate) fn grown(&self, gaussians: usize) -> usize {
+        let growth = if gaussians < self.few { QUICK_GROWTH } else { GROWTH };
+        (growth * gaussians as f64) as usize
+    }
+
     /// Moves and adds, if it is time; gives what was done.
     pub(crate) fn refine(
         &self,
@@ -114,8 +120,7 @@ impl McmcSettings {
     /// Appends copies of Gaussians that are drawn in proportion to opacity.
     fn add(&self, model: &mut Model, adam: &mut Adam, seed: u64, step: u64) -> usize {
         let n = model.len();
-        let growth = if n < self.few { QUICK_GROWTH } else { GROWTH };
-        let target = self.cap.min((growth * n as f64) as usize);
+        let target = self.cap.min(self.grown(n));
         let counter = Counter::new(seed, Purpose::Add, step);
         let drawn = draw(&model.gaussians.opacities, target.saturating_sub(n), &counter);
         for (source, copies) in runs(&drawn) {

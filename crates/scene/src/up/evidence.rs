@@ -100,12 +100,7 @@ impl Framed {
     fn new(surface: &Surface, turn: &DMat3) -> Self {
         let places: Vec<[f64; 3]> =
             surface.pieces.iter().map(|p| (*turn * p.place).to_array()).collect();
-        let span = |axis: usize| {
-            let mut values: Vec<f32> = places.iter().map(|p| p[axis] as f32).collect();
-            [FRINGE, 1.0 - FRINGE].map(|s| quantile(&mut values, s).map_or(0.0, f64::from))
-        };
-        let spans = [0, 1, 2].map(span);
-        let bounds = Bounds { low: spans.map(|s| s[0]), high: spans.map(|s| s[1]) };
+        let bounds = inner_bounds(&places);
         let extent = bounds.extent();
         let share_of =
             |a: usize, length: f64| if extent[a] > 0.0 { length / extent[a] } else { 0.0 };
@@ -213,6 +208,16 @@ impl Framed {
             + PLUMB_WEIGHT * evidence.plumb
             + if is_tall { TALL_WEIGHT * (1.0 - evidence.floor_cover) } else { 0.0 }
     }
+}
+
+/// The box of all places but a few at each end of an axis.
+pub(super) fn inner_bounds(places: &[[f64; 3]]) -> Bounds {
+    let span = |axis: usize| {
+        let mut values: Vec<f32> = places.iter().map(|p| p[axis] as f32).collect();
+        [FRINGE, 1.0 - FRINGE].map(|s| quantile(&mut values, s).map_or(0.0, f64::from))
+    };
+    let spans = [0, 1, 2].map(span);
+    Bounds { low: spans.map(|s| s[0]), high: spans.map(|s| s[1]) }
 }
 
 fn share(part: f64, whole: f64) -> f64 {

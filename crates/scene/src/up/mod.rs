@@ -2,14 +2,15 @@
 //!
 //! Few files say it, so the scene is asked. Directions that much surface faces may be up, and those at
 //! right angles to two of them; each is weighed, and its opposite, by what a floor leaves behind: a slab
-//! that covers the ground plan, most rows low, flat Gaussians that lie level. The best is sharpened by a
-//! plane through its fullest level surface. All of it happens in the frame of the direction, so that a
-//! scene may lie in any pose. Where the best hardly leads, what the file or its format says decides.
+//! that covers the ground plan, most rows low, flat Gaussians that lie level. What a shiny floor reflects is left out.
+//! The best is sharpened by a plane through its fullest level surface. All of it happens in the frame of the direction,
+//! so that a scene may lie in any pose. Where the best hardly leads, what the file or its format says decides.
 
 mod direction;
 mod evidence;
 mod peaks;
 mod plane;
+mod reflection;
 mod squareness;
 mod surface;
 mod walls;
@@ -82,9 +83,11 @@ pub struct StatedUp {
 ///
 /// The same for any number of threads. Without rows or extent the confidence is 0.
 pub fn guess_up(scene: &GaussianScene, stated: StatedUp) -> UpGuess {
-    let surface = Surface::of(scene);
+    let mut surface = Surface::of(scene);
     let peaks = peaks(&surface);
-    let mut candidates: Vec<UpEvidence> = directions(&surface, &peaks, stated.direction)
+    let directions = directions(&surface, &peaks, stated.direction);
+    reflection::leave_out(&mut surface, directions.iter().map(|up| frame(*up, &peaks)));
+    let mut candidates: Vec<UpEvidence> = directions
         .into_iter()
         .flat_map(|up| evidence::weigh_both(&surface, up, &frame(up, &peaks)))
         .collect();

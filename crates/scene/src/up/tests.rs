@@ -85,6 +85,36 @@ fn a_floor_is_found_in_any_pose_of_flat_gaussians_and_of_bare_points() {
     }
 }
 
+/// A scene with part of its rows once more below z = 0, where they are seen less.
+fn mirrored(scene: &GaussianScene, every: usize) -> GaussianScene {
+    let mut scene = scene.clone();
+    for i in (0..scene.len()).step_by(every) {
+        let [x, y, z] = scene.coord[i];
+        scene.coord.push([x, y, -z]);
+        scene.log_scale.push(scene.log_scale[i]);
+        scene.quat.push(scene.quat[i]);
+        scene.opacity_logit.push(0.0);
+        scene.sh_dc.push(scene.sh_dc[i]);
+    }
+    scene
+}
+
+#[test]
+fn what_a_shiny_floor_shows_below_itself_is_no_part_of_the_room() {
+    let confidence = guess_up(&points(), StatedUp::UPRIGHT).confidence;
+    for every in [2, 4, 10] {
+        let scene = mirrored(&points(), every);
+        for turn in turns() {
+            let due = Up::new(turn.map(|row| dot(row, [0.0, 0.0, 1.0]))).unwrap();
+            let guess = guess_up(&turned(&scene, turn), StatedUp::UPRIGHT);
+            let off = guess.candidates[0].direction.degrees_from(due);
+            assert!(off < 1.0, "1 of {every}, {off} degrees: {guess:?}");
+            let change = (guess.confidence - confidence).abs();
+            assert!(change < 0.1, "1 of {every}: {confidence} alone, {}", guess.confidence);
+        }
+    }
+}
+
 #[test]
 fn what_the_file_states_decides_where_the_scene_leaves_it_open() {
     // A ball: no side differs from another.

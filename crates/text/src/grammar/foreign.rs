@@ -155,6 +155,21 @@ pub(super) fn class_of(words: &[String]) -> Option<ClassId> {
     named(&words[first..])
 }
 
+/// Articles and every spelling of a name with its class, for readers of phrases that do not run here.
+pub(super) fn spellings() -> (&'static [&'static str], Vec<(String, ClassId)>) {
+    let mut all: Vec<(String, ClassId)> = Vec::new();
+    for (class, names) in NAMES {
+        for name in *names {
+            for spelling in [(*name).to_owned(), plain(name), spelled_out(name)] {
+                if all.iter().all(|(other, _)| *other != spelling) {
+                    all.push((spelling, *class));
+                }
+            }
+        }
+    }
+    (ARTICLES, all)
+}
+
 /// Without accents.
 fn plain(name: &str) -> String {
     let letter = |c| match c {

@@ -233,6 +233,12 @@ pub fn place_words() -> &'static [(&'static str, Option<Relation>)] {
     place::PLACES
 }
 
+/// Articles, and names of classes in German, French and everyday English, in every spelling that is read, for readers of
+/// phrases that do not run here.
+pub fn foreign_names() -> (&'static [&'static str], Vec<(String, ClassId)>) {
+    foreign::spellings()
+}
+
 /// The class whose name in German or French, or in everyday English, a phrase is.
 pub(crate) fn foreign_class(text: &str) -> Option<ClassId> {
     foreign::class_of(&tokens::words(text))
