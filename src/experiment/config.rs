@@ -433,6 +433,6 @@ mod tests {
                 read += 1;
             }
         }
-        assert_eq!(read, 57);
+        assert_eq!(read, 78);
     }
 }
