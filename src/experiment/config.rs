@@ -269,8 +269,8 @@ pub struct EarlyStoppingConfig {
 #[serde(untagged)]
 pub enum TransformList {
     /// `language_pretraining`, `semantic_segmentation` or `validation`; with views
-    /// `self_supervised`, `self_supervised_joint`, `self_supervised_joint_scannetpp` or
-    /// `self_distillation`.
+    /// `self_supervised`, `self_supervised_joint`, `self_supervised_joint_scannetpp`,
+    /// `self_supervised_supplement` or `self_distillation`.
     Preset(String),
     /// One after the other.
     Steps(Vec<TransformConfig>),
@@ -283,13 +283,14 @@ impl TransformList {
     /// If there is no preset of this name.
     pub fn steps(&self, grid_size: f64) -> Result<Vec<TransformConfig>> {
         type Preset = fn(f64) -> Vec<TransformConfig>;
-        const PRESETS: [(&str, Preset); 7] = [
+        const PRESETS: [(&str, Preset); 8] = [
             ("language_pretraining", transforms::language_pretraining),
             ("semantic_segmentation", transforms::semantic_segmentation),
             ("validation", transforms::validation),
             ("self_supervised", transforms::self_supervised),
             ("self_supervised_joint", transforms::self_supervised_joint),
             ("self_supervised_joint_scannetpp", transforms::self_supervised_joint_scannetpp),
+            ("self_supervised_supplement", transforms::self_supervised_supplement),
             ("self_distillation", transforms::self_distillation),
         ];
         let name = match self {
@@ -433,6 +434,6 @@ mod tests {
                 read += 1;
             }
         }
-        assert_eq!(read, 57);
+        assert_eq!(read, 78);
     }
 }

@@ -6,5 +6,6 @@ mod distillation;
 mod measured;
 mod models;
 mod page;
+mod paper;
 mod runs;
 mod settings;

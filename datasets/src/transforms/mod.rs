@@ -63,6 +63,7 @@ pub use ratio_crop::RatioCrop;
 pub use sphere_crop::{CropCenter, SphereCrop};
 pub use view_presets::{
     self_distillation, self_supervised, self_supervised_joint, self_supervised_joint_scannetpp,
+    self_supervised_supplement,
 };
 pub use views::{CropOrigin, ViewCrop, ViewGroup, Views};
 pub use voxel_blur::VoxelBlur;

@@ -13,9 +13,10 @@ type Steps = Vec<TransformConfig>;
 
 /// Most Gaussians of a scene that views are cut out of.
 const SCENE_POINTS: usize = 819_200;
-/// What crops are a share of, with one dataset and with several.
-const SINGLE_POINTS: usize = 307_200;
-const JOINT_POINTS: usize = 256_000;
+/// What global and local crops are a share of, with one dataset, with several, and in the supplement's table.
+const SINGLE_POINTS: [usize; 2] = [307_200; 2];
+const JOINT_POINTS: [usize; 2] = [256_000; 2];
+const SUPPLEMENT_POINTS: [usize; 2] = [256_000, 102_400];
 
 fn center() -> TransformConfig {
     CenterShift { apply_z: false }.into()
@@ -52,11 +53,11 @@ fn base(grid_size: f64, single: bool, chromatic: bool) -> Steps {
 /// Two global views of one region, three local ones of another, as the original cuts them.
 fn original_views(
     grid_size: f64,
-    point_max: usize,
+    point_max: [usize; 2],
     bend_local: bool,
     changes: [Steps; 3],
 ) -> TransformConfig {
-    let region = |ratio| -> Steps {
+    let region = |ratio, point_max| -> Steps {
         vec![center(), RandomFlip::default().into(), RatioCrop { ratio, point_max }.into()]
     };
     let each = |mut steps: Steps| {
@@ -64,12 +65,12 @@ fn original_views(
         steps
     };
     let [first, second, local] = changes;
-    let mut local_region = region([0.1, 0.4]);
+    let mut local_region = region([0.1, 0.4], point_max[1]);
     if bend_local {
         local_region.insert(0, elastic(vec![[0.2, 0.4], [0.8, 1.6]]));
     }
     let (global, local) = (vec![each(first), each(second)], vec![each(local); 3]);
-    groups([(region([0.4, 1.0]), None, global), (local_region, None, local)])
+    groups([(region([0.4, 1.0], point_max[0]), None, global), (local_region, None, local)])
 }
 
 /// Global views and local ones: what is shared, what is cut, what is done to each.
@@ -104,6 +105,22 @@ pub fn self_supervised(grid_size: f64) -> Vec<TransformConfig> {
         vec![jitter(), gray(), blur(0.5, grid_size)],
     ];
     steps.push(original_views(grid_size, SINGLE_POINTS, false, changes));
+    steps
+}
+
+/// As [`self_supervised`], by the augmentation table of the paper's supplement: coarse bending alone, larger limits of
+/// global and smaller ones of local crops, dropout in the second global view only.
+///
+/// # Source
+/// The supplement's table of augmentations; steps that it does not name are those of the released code.
+pub fn self_supervised_supplement(grid_size: f64) -> Vec<TransformConfig> {
+    let mut steps = base(grid_size, false, true);
+    let changes = [
+        vec![jitter(), gray(), blur(1.0, grid_size)],
+        vec![dropout(), jitter(), gray(), blur(0.2, grid_size), ColorSolarize::default().into()],
+        vec![jitter(), gray(), blur(0.5, grid_size)],
+    ];
+    steps.push(original_views(grid_size, SUPPLEMENT_POINTS, false, changes));
     steps
 }
 
