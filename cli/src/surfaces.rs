@@ -157,7 +157,7 @@ impl SurfaceArgs {
             true => "smooth pieces of one color, small to large, on which labels agree",
             false => {
                 "smooth pieces of one color, small to large, on which labels agree; then what is too small for its \
-                 class takes the label of a neighbour"
+                 class takes the label of a neighbor"
             }
         };
         session.receipt.setting("surfaces", counts.join(" "), meaning);

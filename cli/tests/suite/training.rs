@@ -136,7 +136,7 @@ fn the_network_inside_the_program_answers_without_any_file() {
 
     let evaluate = |more: &str| {
         let (file, out) = (folder.at("figures.json"), folder.at("evaluation"));
-        done(&run!("evaluate synthetic:2:7 --json {file} --out {out} {more}"));
+        done(&run!("evaluate synthetic:1:7 --json {file} --out {out} {more}"));
         json(file)
     };
     let figures = evaluate("");
