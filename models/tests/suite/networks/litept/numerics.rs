@@ -3,10 +3,12 @@
 use super::reference::{Reference, Values};
 use super::scenes::{decoded, frozen, plain, room, trainable};
 use crate::support::devices::elsewhere;
-use crate::support::{batch, flat, gradients, rng};
+use crate::support::{Scene, batch, flat, gradients, rng};
 use scenesplat_kernels::Precision;
 use scenesplat_models::weights::unit;
 use scenesplat_models::{Compute, Forward, LitePtConfig, Mode, Orders};
+use std::collections::BTreeMap;
+use std::sync::{Arc, Mutex, PoisonError};
 
 /// Largest difference of an output in f32, relative to the largest value.
 const F32_EPS: f64 = 1e-5;
@@ -95,11 +97,44 @@ fn curves_positions_and_patches_matter() {
     assert!(far(moved(&patches, &Orders::Listed)));
 }
 
-/// Differences of the f64 formulas, along a random direction of each parameter: all its values
-/// count.
+/// Size of the steps of differences.
+const STEP: f64 = 1e-6;
+
+/// A direction of a parameter: all its values count.
+fn direction(parameter: &str, len: usize) -> Vec<f64> {
+    unit(&format!("{parameter}.direction"), len, 9).into_iter().map(f64::from).collect()
+}
+
+/// Differences of the f64 formulas along a direction of each parameter. They take longer than a network on any device, and
+/// are the same for all of them: computed once.
+fn differences(
+    name: &'static str,
+    slow: &Reference<'_>,
+    scenes: &[&Scene],
+    parameters: &BTreeMap<String, Vec<f32>>,
+    out: &[f64],
+) -> Arc<BTreeMap<String, f64>> {
+    type Known = Mutex<BTreeMap<(&'static str, bool), Arc<BTreeMap<String, f64>>>>;
+    static KNOWN: Known = Mutex::new(BTreeMap::new());
+    let mut known = KNOWN.lock().unwrap_or_else(PoisonError::into_inner);
+    let entry = known.entry((name, slow.train)).or_insert_with(|| {
+        let loss = || -> f64 { slow.forward(scenes).iter().zip(out).map(|(o, r)| o * r).sum() };
+        let of = |(parameter, values): (&String, &Vec<f32>)| {
+            let along = direction(parameter, values.len());
+            slow.values.shift(parameter, STEP, &along);
+            let above = loss();
+            slow.values.shift(parameter, -2.0 * STEP, &along);
+            let below = loss();
+            slow.values.shift(parameter, STEP, &along);
+            (parameter.clone(), (above - below) / (2.0 * STEP))
+        };
+        Arc::new(parameters.iter().map(of).collect())
+    });
+    entry.clone()
+}
+
 #[test]
 pub fn gradients_are_differences_of_the_formulas() {
-    const STEP: f64 = 1e-6;
     let scenes = [&room(5, "a"), &room(3, "b")];
     for (name, config) in configs() {
         // Batch norms of a few coarse rows divide by what little these differ, which magnifies
@@ -117,24 +152,15 @@ pub fn gradients_are_differences_of_the_formulas() {
             // So do outputs, where sums are not in f64 or products are another library's.
             let most = if mode == Mode::Train && elsewhere() { 5e-5 } else { F32_EPS };
             assert!(found < most, "{name}, {mode:?}: output {found:.1e}");
-            let direction = unit("R", out.len(), 5);
-            let loss = || -> f64 {
-                let out = slow.forward(&scenes);
-                out.iter().zip(&direction).map(|(o, r)| o * f64::from(*r)).sum()
-            };
+            let of_out: Vec<f64> = unit("R", out.len(), 5).into_iter().map(f64::from).collect();
+            let wanted = differences(name, &slow, &scenes, &got, &of_out);
             let norm =
                 |values: &[f32]| values.iter().map(|v| f64::from(*v).powi(2)).sum::<f64>().sqrt();
             let largest = got.values().map(|g| norm(g)).fold(0f64, f64::max);
             let mut worst = (0f64, String::new());
             for (parameter, gradient) in &got {
-                let along = unit(&format!("{parameter}.direction"), gradient.len(), 9);
-                let along: Vec<f64> = along.into_iter().map(f64::from).collect();
-                slow.values.shift(parameter, STEP, &along);
-                let above = loss();
-                slow.values.shift(parameter, -2.0 * STEP, &along);
-                let below = loss();
-                slow.values.shift(parameter, STEP, &along);
-                let want = (above - below) / (2.0 * STEP);
+                let along = direction(parameter, gradient.len());
+                let want = wanted[parameter];
                 let found: f64 = gradient.iter().zip(&along).map(|(g, d)| f64::from(*g) * d).sum();
                 let length = along.iter().map(|d| d * d).sum::<f64>().sqrt();
                 // Parameters without effect (the bias of a key, of what is normalized next) have
