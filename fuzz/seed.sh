@@ -20,7 +20,8 @@ cp models/tests/data/*.pth models/tests/data/*.pt $corpus/weights/
 for archive in models/tests/data/*.pth models/tests/data/*.pt; do
   unzip -p "$archive" '*data.pkl' >"$corpus/pickle/$(basename "$archive").pkl" || true
 done
-cp assets/embedded/config.json models/tests/data/hub/config.json $corpus/network_config/
+cp assets/embedded/config.json $corpus/network_config/embedded.json
+cp models/tests/data/hub/config.json $corpus/network_config/hub.json
 find configs -name '*.toml' -exec cp {} $corpus/experiment/ \;
 find "$real" \( -name '*.png' -o -name '*.jpg' \) -size -64k -exec cp {} $corpus/picture/ \;
 small=$(mktemp -d)

@@ -54,6 +54,7 @@ pub mod recognition;
 pub mod reconstruction;
 pub mod setting;
 pub mod text;
+pub mod text_model;
 pub mod yardsticks;
 
 pub use alignment::{Alignment, AlignmentSettings};

@@ -1,13 +1,15 @@
 //! Flags that choose classes: of `segment`, `query` and `evaluate`.
 
-use crate::error::WrongUse;
+use crate::error::{WrongUse, refuse};
 use crate::outputs::Outputs;
 use crate::session::Session;
 use anyhow::{Result, anyhow};
 use scenesplat::metrics::{UnknownRule, ZeroShotOptions};
 use scenesplat::rooms::Vocabulary;
+use scenesplat::scene::label_set::read_names;
 use scenesplat::scene::{LabelSet, TextTable};
 use scenesplat::text::{TextError, class_list, read_text_table};
+use scenesplat::text_model::{TextModel, TextModelError};
 use std::path::{Path, PathBuf};
 
 /// Which classes compete, and when none wins.
@@ -15,12 +17,19 @@ use std::path::{Path, PathBuf};
 pub struct Classes {
     /// Text embeddings of the classes: .safetensors or .pt; or `vocabulary`, the words of the
     /// synthetic rooms (`vocabulary:768` for a network of that width). By default, for the network
-    /// inside the program, the classes it knows.
+    /// inside the program, the classes it knows. With --text-model also a file of names, one a line or as JSON.
     #[arg(long, value_name = "FILE|vocabulary[:D]")]
     pub text: Option<PathBuf>,
     /// Names of the rows of --text, one a line, where the file has none.
     #[arg(long, value_name = "FILE")]
     pub text_names: Option<PathBuf>,
+    /// Folder of a text model that reads the names of --text: SigLIP 2 (siglip2-base-patch16-512) for networks that were
+    /// trained with it, or a sentence encoder (all-MiniLM-L6-v2). In `query` it reads any phrase.
+    #[arg(long, value_name = "DIR")]
+    pub text_model: Option<PathBuf>,
+    /// What SigLIP reads a name in; several are averaged. [default: "this is a {}"]
+    #[arg(long, value_name = "TEXT", requires = "text_model")]
+    pub template: Vec<String>,
     /// Classes that may not be predicted, comma-separated.
     #[arg(long, value_name = "NAMES", value_delimiter = ',')]
     pub without: Vec<String>,
@@ -37,7 +46,41 @@ pub struct Classes {
 impl Classes {
     /// Notes the files that the choice is read from.
     pub fn claim_inputs(&self, outputs: &Outputs) -> Result<()> {
-        outputs.reads_any([self.text.as_deref(), self.text_names.as_deref()])
+        let Self { text, text_names, text_model, .. } = self;
+        outputs.reads_any([text.as_deref(), text_names.as_deref(), text_model.as_deref()])
+    }
+
+    /// Refuses a text model that has no names to read.
+    pub fn check_model(&self) -> Result<()> {
+        if self.text_model.is_some() && !self.is_list()? {
+            let given = match &self.text {
+                Some(path) => format!("{} is none", path.display()),
+                None => "--text is missing".to_owned(),
+            };
+            refuse!(
+                "--text-model reads the names of --text, a file with one a line or as JSON; {given}"
+            );
+        }
+        Ok(())
+    }
+
+    /// The text model, if there is one.
+    pub fn model(&self) -> Result<Option<TextModel>> {
+        let open = |folder: &PathBuf| {
+            TextModel::open(folder, &self.template).map_err(|error| match error {
+                TextModelError::Template { .. } => WrongUse(format!("--template: {error}")).into(),
+                other => anyhow::Error::from(other),
+            })
+        };
+        self.text_model.as_ref().map(open).transpose()
+    }
+
+    /// Whether --text is a list of names, which the text model reads.
+    pub fn is_list(&self) -> Result<bool> {
+        let Some(path) = &self.text else { return Ok(false) };
+        let ending = path.extension().and_then(|e| e.to_str()).unwrap_or_default();
+        let is_table = ["safetensors", "pt", "pth"].contains(&ending);
+        Ok(self.text_model.is_some() && !is_table && self.vocabulary()?.is_none())
     }
 
     /// The texts: those given, or the vocabulary of the network inside the program, or a hint what
@@ -46,6 +89,15 @@ impl Classes {
         match &self.text {
             Some(path) => match self.vocabulary()? {
                 Some(vocabulary) => Ok(vocabulary.class_table()),
+                None if self.is_list()? => match self.model()? {
+                    Some(model) => self.read_by(&model, path),
+                    None => refuse!("--text-model is missing"),
+                },
+                None if path.extension().is_some_and(|e| e == "txt" || e == "json") => refuse!(
+                    "--text {}: a list of names needs --text-model DIR, which reads them; without one give their vectors \
+                     (.safetensors or .pt)",
+                    path.display()
+                ),
                 None => match read_text_table(path, self.text_names.as_deref()) {
                     Err(error @ TextError::NoNames { .. }) => {
                         Err(anyhow!("{error}: give it with --text-names FILE"))
@@ -61,6 +113,22 @@ impl Classes {
             )
             .into()),
         }
+    }
+
+    /// The names of a file as a model reads them.
+    pub fn read_by(&self, model: &TextModel, path: &Path) -> Result<TextTable> {
+        if self.text_names.is_some() {
+            refuse!(
+                "--text-names is for a table without names; --text {} has them",
+                path.display()
+            );
+        }
+        let (table, cut) = model.table(read_names(path)?)?;
+        if let Some(&first) = cut.first() {
+            let name: String = table.names[first].chars().take(60).collect();
+            refuse!("{}: {name:?}… is longer than the text model reads", path.display());
+        }
+        Ok(table)
     }
 
     /// The built-in vocabulary, if --text asks for it: `vocabulary` has the width of the network
@@ -92,6 +160,12 @@ impl Classes {
             }
             (Some(path), None) => receipt.fingerprint("text", path)?,
             (None, _) => {}
+        }
+        if let Some(folder) = &self.text_model {
+            receipt.fingerprint("text_model", folder)?;
+        }
+        if !self.template.is_empty() {
+            receipt.setting("template", self.template.join(" | "), "what names are read in");
         }
         if !self.without.is_empty() {
             receipt.setting("without", self.without.join(","), "classes that may not be predicted");

@@ -112,6 +112,7 @@ impl LabelArgs {
     /// Notes what is read.
     pub fn claim_inputs(&self, session: &Session<'_>) -> Result<()> {
         session.outputs.reads_any([Some(self.scene.as_path()), self.label_names.as_deref()])?;
+        self.labelling.classes.check_model()?;
         self.labelling.classes.claim_inputs(&session.outputs)
     }
 

@@ -52,6 +52,7 @@ pub fn run(args: &Args, line: &str) -> Result<()> {
     let labelling = Labelling { inference, vote_k: Some(vote_k), ..args.labelling.clone() };
     session.outputs.reads(&args.input.scene)?;
     let wish = labelling.wish(&session)?;
+    labelling.classes.check_model()?;
     labelling.classes.claim_inputs(&session.outputs)?;
     let names = ["labels.npy", "scores.npy", "classes.json", "segmented.ply", "preview.png"];
     let more: &[&str] = if args.instances { &OBJECT_FILES } else { &[] };

@@ -34,5 +34,6 @@ mod simulate;
 mod strange;
 mod support;
 mod text;
+mod text_model;
 mod training;
 mod upright;

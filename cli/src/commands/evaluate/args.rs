@@ -95,6 +95,7 @@ impl Args {
     /// Notes the files that are read, and the one that is written outside of the output folder.
     pub fn claim_inputs(&self, outputs: &Outputs) -> Result<()> {
         self.scenes.iter().try_for_each(|scene| outputs.reads(Path::new(scene)))?;
+        self.classes.check_model()?;
         self.classes.claim_inputs(outputs)?;
         let features = self.features.as_deref().map(Path::new);
         outputs.reads_any([self.label_names.as_deref(), self.class_map.as_deref(), features])?;

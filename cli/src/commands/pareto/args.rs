@@ -110,6 +110,8 @@ impl Args {
                 path("--config", config.as_deref().map(Path::new));
                 path("--text", self.classes.text.as_deref());
                 path("--text-names", self.classes.text_names.as_deref());
+                path("--text-model", self.classes.text_model.as_deref());
+                words.extend(self.classes.template.iter().map(|text| format!("--template={text}")));
             }
         }
         let Classes { without, min_score, min_margin, .. } = &self.classes;

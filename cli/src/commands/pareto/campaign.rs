@@ -106,6 +106,9 @@ impl<'a> Campaign<'a> {
         parts.extend(label_ids.label_base.map(|base| format!("label base {base}")));
         parts.extend(exclude.as_ref().map(|names| format!("exclude {}", names.join(","))));
         parts.extend(source.segment_name.as_ref().map(|name| format!("segment {name}")));
+        if let Some(folder) = &classes.text_model {
+            parts.push(format!("text model {} {:?}", folder.display(), classes.template));
+        }
         let Classes { without, min_score, min_margin, .. } = classes;
         if !without.is_empty() || min_score.is_some() || min_margin.is_some() {
             parts.push(format!("classes {without:?} {min_score:?} {min_margin:?}"));

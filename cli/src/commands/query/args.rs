@@ -11,8 +11,8 @@ use std::path::PathBuf;
 ///
 /// For the network inside the program the query is any phrase: what its vocabulary knows ("red chair",
 /// "furniture") is looked for as such, anything else as the class that is most like it, which is said. With --text it is
-/// the name of a row, or, with --text-model, any phrase, whose vector is guessed; or any text whose embedding is given by
-/// --embedding.
+/// the name of a row, or, with --text-model, any phrase: SigLIP 2 reads it for networks that were trained with it, and a
+/// sentence encoder guesses its vector; or any text whose embedding is given by --embedding.
 /// A Gaussian is selected when the query scores best among all rows of --text (if there are
 /// several), its score reaches --min-score, and most of its neighbors agree.
 #[derive(Debug, Clone, clap::Args)]
@@ -24,9 +24,6 @@ pub struct Args {
     /// Embedding of the query: .npy or .pt with D values.
     #[arg(long, value_name = "FILE")]
     pub embedding: Option<PathBuf>,
-    /// Folder of a sentence encoder (all-MiniLM-L6-v2), which reads what is no name of the vocabulary or of --text.
-    #[arg(long, value_name = "DIR", conflicts_with = "embedding")]
-    pub text_model: Option<PathBuf>,
     /// Rivals of the query and thresholds.
     #[command(flatten)]
     pub classes: Classes,

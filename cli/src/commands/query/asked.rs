@@ -6,59 +6,86 @@ use crate::commands::phrase::{ask_error, phrase_error, placed_refused, tell_deni
 use crate::error::refuse;
 use crate::session::Session;
 use anyhow::Result;
-use scenesplat::phrases::{Phrase, PhraseReader, TextEncoder};
+use scenesplat::phrases::{Phrase, PhraseReader};
 use scenesplat::query::Query;
 use scenesplat::rooms::Vocabulary;
 use scenesplat::scene::TextTable;
 use scenesplat::scene::label_set::nearest_names;
 use scenesplat::text::read_text_vector;
+use scenesplat::text_model::TextModel;
 
 /// What is asked for; says and notes how it was understood.
 pub fn query(args: &Args, session: &Session<'_>) -> Result<Query> {
-    if let (Some(vocabulary), None) = (args.classes.vocabulary()?, &args.embedding) {
+    let classes = &args.classes;
+    if args.embedding.is_some() && classes.text_model.is_some() {
+        refuse!("--embedding is the vector of the query, so --text-model has nothing to read");
+    }
+    if let (Some(vocabulary), None) = (classes.vocabulary()?, &args.embedding) {
         return of_phrase(args, session, &vocabulary);
     }
-    let table = match (&args.classes.text, &args.embedding) {
+    // Of a list of names and of the phrase one model makes vectors; it is read once.
+    let list = classes.text.as_deref().filter(|_| classes.is_list().unwrap_or(false));
+    let model = list.and_then(|_| classes.model().transpose()).transpose()?;
+    let table = match (&classes.text, &args.embedding) {
         (None, None) if args.inference.network.is_embedded() && args.features.is_none() => {
             return of_phrase(args, session, &scenesplat::embedded::vocabulary()?);
         }
-        (None, None) => {
+        (None, None) if classes.text_model.is_none() => {
             refuse!(
-                "give --text (embeddings with names, the query being one of them) or --embedding \
-                 (the query's own vector)"
+                "give --text (embeddings with names, the query being one of them), --embedding (the query's own vector) \
+                 or --text-model (which reads it)"
             );
         }
-        (Some(_), _) => Some(args.classes.text_table(false)?),
-        (None, Some(_)) => None,
+        (Some(_), _) => Some(match (&model, list) {
+            (Some(model), Some(path)) => classes.read_by(model, path)?,
+            _ => classes.text_table(false)?,
+        }),
+        (None, _) => None,
     };
-    let Some(path) = &args.embedding else {
-        let Some(table) = table else {
-            refuse!("--text is missing");
-        };
-        if let Some(query) = Query::of_table(&table, &args.query)? {
-            return Ok(query);
+    let vector = match (&args.embedding, &table) {
+        (Some(path), _) => read_text_vector(path)?,
+        (None, Some(table)) => {
+            if let Some(query) = Query::of_table(table, &args.query)? {
+                return Ok(query);
+            }
+            if let Some(query) = of_denial(args, session, table)? {
+                return Ok(query);
+            }
+            let model = model.map_or_else(|| classes.model(), |model| Ok(Some(model)))?;
+            match &model {
+                Some(TextModel::Sentence(encoder)) if list.is_none() => {
+                    return guessed(session, &args.query, table, encoder);
+                }
+                Some(model) => read(args, session, model)?,
+                None => refuse!(
+                    "{:?} is not among the {} names of --text; nearest: {}. For any other text give its embedding with \
+                     --embedding FILE, or a text model with --text-model DIR",
+                    args.query,
+                    table.names.len(),
+                    nearest_names(&table.names, &args.query, 3).join(", ")
+                ),
+            }
         }
-        if let Some(query) = of_denial(args, session, &table)? {
-            return Ok(query);
+        (None, None) => {
+            let Some(model) = classes.model()? else { refuse!("--text-model is missing") };
+            match Phrase::parse(&args.query, &[]).map_err(phrase_error)? {
+                Phrase::Plain => read(args, session, &model)?,
+                Phrase::Placed(placed) => return Err(placed_refused(placed).into()),
+                Phrase::Denied(_) => refuse!(
+                    "{:?} denies something: that needs the names of all classes; give them with --text",
+                    args.query
+                ),
+            }
         }
-        if let Some(folder) = &args.text_model {
-            return guessed(session, &args.query, &table, &TextEncoder::open(folder)?);
-        }
-        refuse!(
-            "{:?} is not among the {} names of --text; nearest: {}. For any other text give \
-             its embedding with --embedding FILE, or a sentence encoder with --text-model DIR",
-            args.query,
-            table.names.len(),
-            nearest_names(&table.names, &args.query, 3).join(", ")
-        );
     };
-    let vector = read_text_vector(path)?;
     if let Some(t) = &table
         && t.dim != vector.len()
     {
-        refuse!("--embedding has {} values, the rows of --text have {}", vector.len(), t.dim);
+        let flag = if args.embedding.is_some() { "--embedding" } else { "--text-model" };
+        let values = vector.len();
+        refuse!("{flag} has {values} values, the rows of --text have {}", t.dim);
     }
-    if table.is_none() && args.classes.min_score.is_none() {
+    if table.is_none() && classes.min_score.is_none() {
         refuse!(
             "without rivals every Gaussian would be selected: give --text (other classes) or \
              --min-score"
@@ -67,13 +94,30 @@ pub fn query(args: &Args, session: &Session<'_>) -> Result<Query> {
     Ok(Query::of_vector(&args.query, vector, table.as_ref())?)
 }
 
+/// The vector that a model gives the phrase; notes it, and says if its end was not read.
+fn read(args: &Args, session: &Session<'_>, model: &TextModel) -> Result<Vec<f32>> {
+    let found = model.encode(std::slice::from_ref(&args.query))?;
+    if !found.cut.is_empty() {
+        session
+            .warn("the phrase is longer than the text model reads: its end is left out".to_owned());
+    }
+    session.receipt.setting("read", &args.query, "its vector is that of the text model");
+    Ok(found.values)
+}
+
 /// Any phrase, in the words of a vocabulary.
 fn of_phrase(args: &Args, session: &Session<'_>, vocabulary: &Vocabulary) -> Result<Query> {
     // What the vocabulary knows needs no encoder.
     let is_known = Query::of_vocabulary(vocabulary, &args.query).is_ok();
-    let folder = args.text_model.as_deref().filter(|_| !is_known);
-    let encoder = folder.map(TextEncoder::open).transpose()?;
-    let reader = PhraseReader::new(encoder.as_ref())?;
+    let encoder = match args.classes.model()?.filter(|_| !is_known) {
+        Some(TextModel::Sentence(encoder)) => Some(encoder),
+        Some(_) => refuse!(
+            "--text-model is SigLIP, which reads for networks that were trained with its vectors; this one knows the words \
+             of its vocabulary: give the other network with --weights, or leave out --text-model"
+        ),
+        None => None,
+    };
+    let reader = PhraseReader::new(encoder.as_deref())?;
     let asked = reader.ask(vocabulary, &args.query).map_err(ask_error)?;
     if let Some(known) = &asked.taken_for {
         if asked.denied.is_empty() {

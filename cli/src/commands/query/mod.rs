@@ -31,17 +31,14 @@ pub fn run(args: &Args, line: &str) -> Result<()> {
         within_budget(&args.budget, args.shared.running.threads, &job)?;
     let session = Session::start_network(&args.shared, &inference, chosen, line)?;
     let args = &Args { inference, ..args.clone() };
-    let read = [Some(args.scene.as_path()), args.embedding.as_deref(), args.text_model.as_deref()];
-    session.outputs.reads_any(read)?;
+    session.outputs.reads_any([Some(args.scene.as_path()), args.embedding.as_deref()])?;
     let wish = args.effects.wish(&session, args.features.is_none(), true)?;
     args.classes.claim_inputs(&session.outputs)?;
     let query = query(args, &session)?;
     session.outputs.open_folder(&["scores.npy", "selection.npy", "query.ply", "preview.png"])?;
     args.classes.record(&session)?;
-    for (role, path) in [("embedding", &args.embedding), ("text_model", &args.text_model)] {
-        if let Some(path) = path {
-            session.receipt.fingerprint(role, path)?;
-        }
+    if let Some(path) = &args.embedding {
+        session.receipt.fingerprint("embedding", path)?;
     }
     let (opened, source) = open(args, &session, &query)?;
     let scene = &opened.loaded.scene;

@@ -2,7 +2,7 @@
 
 mod build;
 
-use crate::error::refuse;
+use crate::error::{WrongUse, refuse};
 use crate::outputs::Outputs;
 use crate::terminal::print;
 use crate::threads::set_threads;
@@ -13,6 +13,7 @@ use scenesplat::phrases::{
 use scenesplat::rooms::CLASSES;
 use scenesplat::scene::TextTable;
 use scenesplat::scene::label_set::read_names;
+use scenesplat::text_model::{TextModel, TextModelError, TextVectors};
 use serde_json::json;
 use std::path::{Path, PathBuf};
 
@@ -25,11 +26,14 @@ pub struct Args {
     /// A file of further phrases, one a line, or a JSON list.
     #[arg(long, value_name = "FILE")]
     pub names: Option<PathBuf>,
-    /// Folder of a sentence encoder (all-MiniLM-L6-v2: config.json, tokenizer.json, model.safetensors), in place of the
-    /// phrase table inside the program.
+    /// Folder of a text model, in place of the phrase table inside the program: a sentence encoder (all-MiniLM-L6-v2), or
+    /// SigLIP 2 (siglip2-base-patch16-512), which needs --out. Both have config.json, tokenizer.json, model.safetensors.
     #[arg(long, value_name = "DIR")]
     pub text_model: Option<PathBuf>,
-    /// Writes the phrases and their vectors as a text table: those of the encoder with --text-model, else the 96 numbers
+    /// What SigLIP reads a phrase in; several are averaged. [default: "this is a {}"]
+    #[arg(long, value_name = "TEXT", requires = "text_model")]
+    pub template: Vec<String>,
+    /// Writes the phrases and their vectors as a text table: those of the model with --text-model, else the 96 numbers
     /// of the phrase table inside the program.
     #[arg(long, value_name = "FILE.safetensors")]
     pub out: Option<PathBuf>,
@@ -67,7 +71,34 @@ pub fn run(args: &Args) -> Result<()> {
     if phrases.is_empty() {
         refuse!("give a phrase, or a file of them with --names");
     }
-    let encoder = args.text_model.as_deref().map(TextEncoder::open).transpose()?;
+    let encoder = match args
+        .text_model
+        .as_deref()
+        .map(|dir| open(dir, &args.template))
+        .transpose()?
+    {
+        Some(TextModel::Sentence(encoder)) => Some(*encoder),
+        Some(model) => {
+            let Some(path) = &args.out else {
+                refuse!(
+                    "SigLIP's vectors say nothing to the network inside the program: give --out for a text table"
+                );
+            };
+            if args.json.is_some() {
+                refuse!(
+                    "--json says what phrases are taken for, which SigLIP does not tell; leave it out"
+                );
+            }
+            let TextVectors { values, dim, cut } = model.encode(&phrases)?;
+            for phrase in cut {
+                let name: String = phrases[phrase].chars().take(40).collect();
+                print(&format!("{name:?}: only the beginning was read"));
+            }
+            write_table(&outputs, (values, dim), &phrases, path)?;
+            return outputs.commit(None);
+        }
+        None => None,
+    };
     match (&args.phrase_table, &args.out, &encoder) {
         (Some(_), _, None) => {
             refuse!(
@@ -99,6 +130,14 @@ pub fn run(args: &Args) -> Result<()> {
         outputs.file(path, (serde_json::to_string_pretty(&about)? + "\n").as_bytes())?;
     }
     outputs.commit(None)
+}
+
+/// The text model of a folder.
+fn open(folder: &Path, templates: &[String]) -> Result<TextModel> {
+    TextModel::open(folder, templates).map_err(|error| match error {
+        TextModelError::Template { .. } => WrongUse(format!("--template: {error}")).into(),
+        other => other.into(),
+    })
 }
 
 /// The encoder's vectors of phrases, and their length.

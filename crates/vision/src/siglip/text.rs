@@ -9,7 +9,7 @@ use crate::weights::Weights;
 use scenesplat_kernels::Precision;
 use scenesplat_scene::input_file::{MAX_TEXT_BYTES, read_file};
 use std::path::Path;
-use tokenizers::{Tokenizer, TruncationParams};
+use tokenizers::{Encoding, Tokenizer, TruncationParams};
 
 /// Texts that go through the layers together.
 const AT_ONCE: usize = 32;
@@ -80,16 +80,20 @@ impl Tokens {
         Ok(Self { tokenizer, pad, length, lowercase: true })
     }
 
-    /// As many as there are positions.
-    fn of(&self, text: &str) -> Result<Vec<u32>, VisionError> {
+    /// The pieces of a text, at most as many as there are positions.
+    fn pieces(&self, text: &str) -> Result<Encoding, VisionError> {
         let bad = |problem: String| VisionError::input("text", format!("{text:?} {problem}"));
         if text.trim().is_empty() {
             return Err(bad("says nothing".to_owned()));
         }
         let lower = self.lowercase.then(|| text.to_lowercase());
         let encoding = self.tokenizer.encode(lower.as_deref().unwrap_or(text), true);
-        let encoding = encoding.map_err(|e| bad(format!("cannot be cut into pieces: {e}")))?;
-        let mut ids = encoding.get_ids().to_vec();
+        encoding.map_err(|e| bad(format!("cannot be cut into pieces: {e}")))
+    }
+
+    /// As many as there are positions.
+    fn of(&self, text: &str) -> Result<Vec<u32>, VisionError> {
+        let mut ids = self.pieces(text)?.get_ids().to_vec();
         ids.resize(self.length, self.pad);
         Ok(ids)
     }
@@ -145,6 +149,14 @@ impl SiglipTextEncoder {
     /// If the text says nothing.
     pub fn token_ids(&self, text: &str) -> Result<Vec<u32>, VisionError> {
         self.tokens.of(text)
+    }
+
+    /// Whether a text has more pieces than there are positions, so that its end is not read.
+    ///
+    /// # Errors
+    /// If the text says nothing.
+    pub fn is_cut(&self, text: &str) -> Result<bool, VisionError> {
+        Ok(!self.tokens.pieces(text)?.get_overflowing().is_empty())
     }
 
     /// How likely a picture shows a text, by the cosine of their vectors: each text for itself, not one among all.
