@@ -110,6 +110,9 @@ fn small(config: &ExperimentConfig) -> ExperimentConfig {
         data["weight"] = json!(1);
     }
     value["trainer"]["epochs"] = json!(1);
+    if let Some(trainer) = value["trainer"].as_object_mut() {
+        trainer.remove("max_steps");
+    }
     value["trainer"]["accumulate"] = json!(1);
     value["trainer"]["checkpoint"]["every_steps"] = json!(0);
     serde_json::from_value(value).unwrap()

@@ -12,6 +12,10 @@ settings! {
         pub seed: u64 = 0,
         /// Passes over the data.
         pub epochs: u64 = 1,
+        /// Optimizer steps in all, in place of `epochs`; the last epoch may end early. Off if absent.
+        // Not written where it is off: runs from before it was there go on.
+        #[serde(skip_serializing_if = "Option::is_none")]
+        pub max_steps: Option<u64> = None,
         /// Batches whose gradients are averaged for one optimizer step, at least 1.
         pub accumulate: u64 = 1,
         /// Batch norms take the statistics of all batches of a step together, which then are as many as there are processes
@@ -79,6 +83,11 @@ settings! {
 }
 
 impl TrainerConfig {
+    /// Optimizer steps of a run whose epochs have so many.
+    pub fn total_steps(&self, steps_per_epoch: u64) -> u64 {
+        self.max_steps.unwrap_or(self.epochs * steps_per_epoch)
+    }
+
     /// Settings that a resumed run may change: what they do not touch are the steps. With
     /// `recompute`, gradients are the same up to the rounding of sums.
     pub const MAY_CHANGE: [&str; 9] = [
@@ -101,6 +110,7 @@ impl TrainerConfig {
         let at_least_one =
             |field, value: u64| check_setting(field, value as f64, value >= 1, "at least 1");
         at_least_one("epochs", self.epochs)?;
+        at_least_one("max_steps", self.max_steps.unwrap_or(1))?;
         at_least_one("accumulate", self.accumulate)?;
         at_least_one("log_every", self.log_every)?;
         at_least_one("checkpoint.keep", self.checkpoint.keep as u64)?;

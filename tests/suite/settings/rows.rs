@@ -517,6 +517,7 @@ pub const TABLES: &[Table] = &[
     table("language", "/trainer").rows(&[
         ("seed", "5", Weights),
         ("epochs", "2", Weights),
+        ("max_steps", "1", Weights),
         ("accumulate", "2", Weights),
         ("clip_norm", "0.01", Weights),
         ("ema", "0.05", Weights),

@@ -167,7 +167,7 @@ impl Trainer {
         start: Progress,
     ) -> Result<Progress, TrainError> {
         let mut run = self.begin(module, data, start)?;
-        let total_steps = self.config.epochs * run.steps_per_epoch;
+        let total_steps = self.config.total_steps(run.steps_per_epoch);
         let mut at = Progress { total_steps, ..start };
         let event = Event::FitStart {
             parameters: run.params.values().map(|v| v.elem_count()).sum(),
@@ -245,7 +245,8 @@ impl Trainer {
             false => data.train.epoch_part(at.epoch, place as usize, self.part()),
         };
         let mut flow = Flow::Continue;
-        while place < last && flow == Flow::Continue {
+        let is_under_way = |place, at: &Progress| place < last && at.step < at.total_steps;
+        while is_under_way(place, at) && flow == Flow::Continue {
             let began = Instant::now();
             let report = self.step(run, &mut *stream, &mut place, *at)?;
             at.step += 1;
@@ -255,14 +256,16 @@ impl Trainer {
             }
             let every = self.config.checkpoint.every_steps;
             // The one at the end of an epoch follows its evaluation.
-            if every > 0 && at.step.is_multiple_of(every) && place < last {
+            if every > 0 && at.step.is_multiple_of(every) && is_under_way(place, at) {
                 self.checkpoint(run, *at, None)?;
             }
         }
         drop(stream);
         self.check_data("train", data.train.left_out(), *at, &mut flow)?;
-        if place == last {
-            self.check_epoch(run, *at)?;
+        if !is_under_way(place, at) {
+            if place == last {
+                self.check_epoch(run, *at)?;
+            }
             self.evaluation_due = true;
             if flow == Flow::Continue {
                 flow = self.end_epoch(run, data, *at)?;

@@ -54,6 +54,56 @@ fn a_resumed_run_has_the_bits_of_one_that_was_not_interrupted() {
 }
 
 #[test]
+fn a_number_of_steps_takes_the_place_of_epochs() {
+    let limited = |steps, dir: Option<&Path>| TrainerConfig {
+        epochs: 1,
+        max_steps: Some(steps),
+        ..config(dir)
+    };
+    let values = |config: TrainerConfig| {
+        let module = Line::new();
+        let at = run(&module, config);
+        assert_eq!(at.step, at.total_steps);
+        (at.step, module.values())
+    };
+    // Two epochs of seven steps; and three steps of the third, where schedules end.
+    assert_eq!(values(limited(14, None)), values(TrainerConfig { epochs: 2, ..config(None) }));
+    let (steps, whole) = values(limited(17, None));
+    assert_eq!(steps, 17);
+    for stop in [3, 14, 15] {
+        let dir = tempfile::tempdir().unwrap();
+        let module = Line::new();
+        let first = trainer(&module, limited(17, Some(dir.path()))).with_callback(stop_at(stop));
+        assert_eq!(fit(first, &module, numbers()).unwrap().step, stop);
+        let module = Line::new();
+        let second = trainer(&module, limited(17, Some(dir.path())));
+        let at = resume(second, dir.path(), &module, numbers());
+        assert_eq!((at.step, module.values()), (17, whole.clone()), "stopped at {stop}");
+    }
+    // The end is evaluated and saved, whatever is due there.
+    let dir = tempfile::tempdir().unwrap();
+    let (module, looked) = (Line::new(), Arc::new(Mutex::new(Vec::new())));
+    let seen = looked.clone();
+    let mut settings = TrainerConfig { eval_every: 0, ..limited(10, Some(dir.path())) };
+    settings.checkpoint.every_steps = 5;
+    let watch = Watch(move |event: &Event<'_>, at: Progress| {
+        if matches!(event, Event::Evaluated { .. }) {
+            seen.lock().unwrap().push(at.step);
+        }
+        Flow::Continue
+    });
+    let mut data =
+        DataModule::new(numbers()).with_evaluator(Score("score", |_: &Line, _: Progress| 0.0));
+    trainer(&module, settings)
+        .with_callback(watch)
+        .fit(&module, &mut data, Progress::default())
+        .unwrap();
+    assert_eq!(*looked.lock().unwrap(), [10]);
+    let newest = newest_checkpoint(dir.path()).unwrap().unwrap();
+    assert!(newest.display().to_string().contains("10"), "{}", newest.display());
+}
+
+#[test]
 fn accumulated_parts_are_a_whole_batch() {
     // Batches of 20 rows, and the same rows in parts: equal means, no batch statistics.
     let numbers = Numbers { rows: 20, ..numbers() };
