@@ -70,6 +70,7 @@ fn a_number_of_steps_takes_the_place_of_epochs() {
     assert_eq!(values(limited(14, None)), values(TrainerConfig { epochs: 2, ..config(None) }));
     let (steps, whole) = values(limited(17, None));
     assert_eq!(steps, 17);
+    assert_eq!(values(TrainerConfig { epochs: 4, ..limited(3, None) }).0, 3);
     for stop in [3, 14, 15] {
         let dir = tempfile::tempdir().unwrap();
         let module = Line::new();
