@@ -104,6 +104,17 @@ fn flags_of_the_depth_loss_have_an_effect_or_are_refused() {
     assert!(!said.contains("no depth loss"), "{said}");
     assert_eq!(capture.json("out/optimise.json")["settings"]["depth"]["kind"], "expected");
     done(&run("--depth-weight 0"));
+    // Without depth the mean opacity is held down instead, unless a flag says otherwise.
+    for (more, want) in [
+        ("", 0.01),
+        ("--opacity-reg 0", 0.0),
+        ("--depth @shots/depth", 0.0),
+        ("--opacity-reg 0.5", 0.5),
+    ] {
+        done(&run(more));
+        let found = capture.json("out/optimise.json")["settings"]["opacity_reg"].as_f64().unwrap();
+        assert!((found - want).abs() < 1e-6, "{more}: {found}");
+    }
 }
 
 /// Exposure is learned where the pictures show that it drifts, and what was decided is in the receipt.

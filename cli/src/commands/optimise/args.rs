@@ -64,7 +64,7 @@ pub struct Args {
     /// Which depth is compared: Σ w z (accumulated) or Σ w z / Σ w (expected).
     #[arg(long, value_enum)]
     pub depth_kind: Option<DepthKindArg>,
-    /// Weight of the mean opacity.
+    /// Weight of the mean opacity. [default: of the preset; 0.01 for scenesplat without --depth]
     #[arg(long, value_name = "LAMBDA", value_parser = parse_weight)]
     pub opacity_reg: Option<f32>,
     /// Weight of the mean standard deviation.
@@ -223,6 +223,11 @@ impl Args {
                 DepthKindArg::Accumulated => DepthKind::Accumulated,
                 DepthKindArg::Expected => DepthKind::Expected,
             };
+        }
+        // The original's 0 is for frames with depth. Without it nothing else removes what no view needs, and a few first
+        // points end in fog between the views.
+        if self.preset == PresetArg::Scenesplat && self.depth.is_none() {
+            s.opacity_reg = OptimiseSettings::gsplat_mcmc().opacity_reg;
         }
         s.opacity_reg = self.opacity_reg.unwrap_or(s.opacity_reg);
         s.scale_reg = self.scale_reg.unwrap_or(s.scale_reg);
