@@ -102,6 +102,7 @@ fn what_a_text_model_cannot_read_is_refused() {
         ("lamp left of a wall", "--text-model % --min-score 0", "left of"),
         ("robot arm", "--text-model % --embedding @names.txt", "nothing to read"),
         ("robot arm", "--text vocabulary:64 --text-model %", "is SigLIP"),
+        ("chair", "--text vocabulary:64 --text-model %", "is SigLIP"),
     ] {
         refused(&case.query(phrase, more, "o"), 2, &[part]);
     }

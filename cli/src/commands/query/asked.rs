@@ -109,8 +109,8 @@ fn read(args: &Args, session: &Session<'_>, model: &TextModel) -> Result<Vec<f32
 fn of_phrase(args: &Args, session: &Session<'_>, vocabulary: &Vocabulary) -> Result<Query> {
     // What the vocabulary knows needs no encoder.
     let is_known = Query::of_vocabulary(vocabulary, &args.query).is_ok();
-    let encoder = match args.classes.model()?.filter(|_| !is_known) {
-        Some(TextModel::Sentence(encoder)) => Some(encoder),
+    let encoder = match args.classes.model()? {
+        Some(TextModel::Sentence(encoder)) => Some(encoder).filter(|_| !is_known),
         Some(_) => refuse!(
             "--text-model is SigLIP, which reads for networks that were trained with its vectors; this one knows the words \
              of its vocabulary: give the other network with --weights, or leave out --text-model"
