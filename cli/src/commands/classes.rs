@@ -66,13 +66,7 @@ impl Classes {
 
     /// The text model, if there is one.
     pub fn model(&self) -> Result<Option<TextModel>> {
-        let open = |folder: &PathBuf| {
-            TextModel::open(folder, &self.template).map_err(|error| match error {
-                TextModelError::Template { .. } => WrongUse(format!("--template: {error}")).into(),
-                other => anyhow::Error::from(other),
-            })
-        };
-        self.text_model.as_ref().map(open).transpose()
+        self.text_model.as_deref().map(|dir| open_text_model(dir, &self.template)).transpose()
     }
 
     /// Whether --text is a list of names, which the text model reads.
@@ -190,4 +184,12 @@ impl Classes {
         let unknown = UnknownRule { min_cosine: self.min_score, min_margin: self.min_margin };
         Ok(ZeroShotOptions { unknown, candidates })
     }
+}
+
+/// The text model of a folder, with what it reads names in.
+pub fn open_text_model(folder: &Path, templates: &[String]) -> Result<TextModel> {
+    TextModel::open(folder, templates).map_err(|error| match error {
+        TextModelError::Template { .. } => WrongUse(format!("--template: {error}")).into(),
+        other => other.into(),
+    })
 }

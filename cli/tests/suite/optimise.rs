@@ -292,6 +292,28 @@ fn an_object_is_learned_from_random_points() {
 }
 
 /// What captures may be like: each ends well, or with a message that says what to do.
+/// Out of memory a process ends without a word: so it is asked for before.
+#[cfg(target_os = "linux")]
+#[test]
+fn memory_that_is_not_given_is_refused_by_name() {
+    let capture = Capture::new();
+    let run = |gaussians: u32, more: &str| {
+        let folder = &capture.0;
+        let line = format!(
+            "optimise {SHOTS} --preset gsplat-default --steps 2 --initial {gaussians} {more}"
+        );
+        let line = line.replace('@', &folder.at(""));
+        let program = env!("CARGO_BIN_EXE_scenesplat");
+        let line = format!("ulimit -v 1500000; '{program}' {line} --out '{}'", folder.at("out"));
+        std::process::Command::new("sh").args(["-c", &line]).output().unwrap()
+    };
+    refused(&run(2_000_000, ""), 1, &["--initial 2000000", "does not give this process"]);
+    // There is room for these, not for three times as many.
+    refused(&run(200_000, "--cap 600000"), 1, &["600000 Gaussians", "smaller --initial or --cap"]);
+    assert!(!capture.0.path("out/scene.ply").exists());
+    done(&run(200_000, "--cap 200000"));
+}
+
 #[test]
 fn hostile_captures() {
     let folder = Folder::new();

@@ -75,6 +75,11 @@ pub fn run(args: &Args, line: &str) -> Result<()> {
     }
     if let Some((next, more)) = ran.out_of_memory {
         let (done, total) = (optimiser.steps_done(), optimiser.settings().steps);
+        anyhow::ensure!(
+            done > 0,
+            "the first refinement may make {next} Gaussians, which need {more} more than the system gives this process; use \
+             a smaller --initial or --cap"
+        );
         session.warn(format!(
             "{next} Gaussians need {more} more, which the system does not give this process: the scene is as it is at \
              step {done} of {total}; a smaller --cap, or --max-memory, goes on to the end"

@@ -24,7 +24,8 @@ pub fn query(args: &Args, session: &Session<'_>) -> Result<Query> {
         return of_phrase(args, session, &vocabulary);
     }
     // Of a list of names and of the phrase one model makes vectors; it is read once.
-    let list = classes.text.as_deref().filter(|_| classes.is_list().unwrap_or(false));
+    let is_list = classes.is_list()?;
+    let list = classes.text.as_deref().filter(|_| is_list);
     let model = list.and_then(|_| classes.model().transpose()).transpose()?;
     let table = match (&classes.text, &args.embedding) {
         (None, None) if args.inference.network.is_embedded() && args.features.is_none() => {

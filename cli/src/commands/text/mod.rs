@@ -2,7 +2,8 @@
 
 mod build;
 
-use crate::error::{WrongUse, refuse};
+use crate::commands::classes::open_text_model;
+use crate::error::refuse;
 use crate::outputs::Outputs;
 use crate::terminal::print;
 use crate::threads::set_threads;
@@ -13,7 +14,7 @@ use scenesplat::phrases::{
 use scenesplat::rooms::CLASSES;
 use scenesplat::scene::TextTable;
 use scenesplat::scene::label_set::read_names;
-use scenesplat::text_model::{TextModel, TextModelError, TextVectors};
+use scenesplat::text_model::{TextModel, TextVectors};
 use serde_json::json;
 use std::path::{Path, PathBuf};
 
@@ -74,7 +75,7 @@ pub fn run(args: &Args) -> Result<()> {
     let encoder = match args
         .text_model
         .as_deref()
-        .map(|dir| open(dir, &args.template))
+        .map(|dir| open_text_model(dir, &args.template))
         .transpose()?
     {
         Some(TextModel::Sentence(encoder)) => Some(*encoder),
@@ -130,14 +131,6 @@ pub fn run(args: &Args) -> Result<()> {
         outputs.file(path, (serde_json::to_string_pretty(&about)? + "\n").as_bytes())?;
     }
     outputs.commit(None)
-}
-
-/// The text model of a folder.
-fn open(folder: &Path, templates: &[String]) -> Result<TextModel> {
-    TextModel::open(folder, templates).map_err(|error| match error {
-        TextModelError::Template { .. } => WrongUse(format!("--template: {error}")).into(),
-        other => other.into(),
-    })
 }
 
 /// The encoder's vectors of phrases, and their length.
