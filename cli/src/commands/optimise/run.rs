@@ -168,8 +168,9 @@ fn lacks_memory(
     if next == now || std::mem::replace(checked, now) == now {
         return None;
     }
-    let need = |gaussians| memory_of(settings, gaussians, frames);
-    let more = need(next) - need(now);
+    let need = |gaussians| memory_of(settings, gaussians, frames) - memory_of(settings, 0, frames);
+    // An array that grows takes twice its size, which the need counts; so far it may take its own.
+    let more = need(next) - need(now) / 2;
     (!can_reserve(more)).then_some((next, Bytes(more)))
 }
 
