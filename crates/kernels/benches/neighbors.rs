@@ -4,9 +4,7 @@
 mod support;
 
 use criterion::{Criterion, Throughput, criterion_group, criterion_main};
-use kiddo::{ImmutableKdTree, SquaredEuclidean};
 use scenesplat_kernels::neighbors::KdTree;
-use std::num::NonZero;
 use support::{criterion, points};
 
 fn neighbors(c: &mut Criterion) {
@@ -23,20 +21,11 @@ fn neighbors(c: &mut Criterion) {
             bench.iter(|| tree.map_nearest(query, k, || (), |(), _, near| near[k - 1].row));
         });
     }
-    // One after the other, in random order, on one thread; beside kiddo, which settles equal distances otherwise.
+    // One after the other, in random order, on one thread; `benches/kiddo` does the same with another tree.
     let few = &query[..10_000];
     group.throughput(Throughput::Elements(few.len() as u64));
     group.bench_function("10k/25_nn_single", |bench| {
         bench.iter(|| few.iter().map(|&q| tree.nearest(q, 25).len()).sum::<usize>());
-    });
-    let wide = |points: &[[f32; 3]]| points.iter().map(|p| p.map(f64::from)).collect::<Vec<_>>();
-    let (entries, few) = (wide(reference), wide(few));
-    let other: ImmutableKdTree<f64, 3> = ImmutableKdTree::new_from_slice(&entries).expect("points");
-    let count = NonZero::new(25).expect("not zero");
-    let nearest =
-        |q: &[f64; 3]| other.query(q).nearest_n::<SquaredEuclidean<f64>>(count).execute().len();
-    group.bench_function("10k/25_nn_single_kiddo", |bench| {
-        bench.iter(|| few.iter().map(nearest).sum::<usize>());
     });
     group.finish();
 }

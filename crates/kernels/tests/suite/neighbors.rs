@@ -1,10 +1,8 @@
-//! Nearest neighbors against sorting all distances and against another tree.
+//! Nearest neighbors against sorting all distances; `benches/kiddo` compares with another tree.
 
-use kiddo::{ImmutableKdTree, SquaredEuclidean};
 use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use scenesplat_kernels::neighbors::{KdTree, Neighbor, NeighborError, distance_squared};
-use std::num::NonZero;
 
 type Coord = [f32; 3];
 
@@ -164,30 +162,4 @@ fn thread_count_does_not_matter() {
     };
     let one = on(1);
     assert!([2, 3, 8].into_iter().all(|threads| on(threads) == one));
-}
-
-/// Distances only: which of equally near points is kept differs, and is the reason for our tree.
-#[test]
-fn distances_agree_with_kiddo() {
-    const K: usize = 25;
-    for (seed, make) in [cube, clustered].into_iter().enumerate() {
-        let rng = &mut rng(seed as u64);
-        let (coord, query) = (make(rng, 20_000), make(rng, 500));
-        let wide = |c: &Coord| c.map(f64::from);
-        let entries: Vec<[f64; 3]> = coord.iter().map(wide).collect();
-        let other: ImmutableKdTree<f64, 3> = ImmutableKdTree::new_from_slice(&entries).unwrap();
-        let ours = all_nearest(&KdTree::new(&coord).unwrap(), &query, K);
-        for (q, near) in query.iter().zip(ours) {
-            let found = other
-                .query(&wide(q))
-                .nearest_n::<SquaredEuclidean<f64>>(NonZero::new(K).unwrap())
-                .execute();
-            assert_eq!(found.len(), near.len());
-            for (a, b) in near.iter().zip(found) {
-                // Sums of the same squares, possibly fused or in another order.
-                let (a, b) = (a.distance_squared, b.distance);
-                assert!((a - b).abs() <= 4.0 * f64::EPSILON * a, "{a} {b}");
-            }
-        }
-    }
 }
