@@ -23,8 +23,8 @@ use std::sync::Mutex;
 #[global_allocator]
 static ALLOCATOR: Counting = Counting;
 
-/// Damaged copies of each file.
-const ROUNDS: u64 = 600;
+/// Damaged copies of each file; `.ci/optional fuzz` makes more.
+const ROUNDS: u64 = 200;
 
 /// What decoders may need whatever the file holds: windows, tables, buffers of blocks. The fixtures of
 /// our own are larger than this in memory.

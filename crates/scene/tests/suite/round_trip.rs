@@ -5,6 +5,7 @@ use crate::common::{
     SplitMix, close, contents, dot, flat, labelled, limit, open, order_of, pool, random_scene,
     shared, strict, write, write_as,
 };
+use rayon::prelude::*;
 use scenesplat_scene::{
     GaussianScene, ReadOptions, SceneFormat, SpzFrame, WriteOptions, open_scene,
 };
@@ -134,13 +135,21 @@ const CHANGES: [(&str, Change); 13] = [
 
 fn hard_scenes() -> Vec<(String, GaussianScene)> {
     let mut all = Vec::new();
-    for rows in [1, 2, 3, 255, 256, 257, 2600] {
-        for degree in 0..=4 {
+    for (rows, degrees) in [
+        (1, 0..=4),
+        (2, 0..=4),
+        (3, 0..=4),
+        (255, 0..=1),
+        (256, 0..=4),
+        (257, 0..=1),
+        (2600, 3..=3),
+    ] {
+        for degree in degrees {
             let scene = random_scene(rows, degree, rows as u64 + u64::from(degree));
             all.push((format!("{rows} rows of degree {degree}"), scene));
         }
     }
-    for rows in [1, 2, 256, 1300] {
+    for rows in [1, 2, 300] {
         for (what, change) in CHANGES {
             let mut scene = random_scene(rows, 1, rows as u64);
             change(&mut scene, &mut SplitMix(rows as u64));
@@ -212,18 +221,18 @@ fn check_fixed_point(case: Case, scene: &GaussianScene, what: &str) {
 
 #[test]
 fn written_read_and_written_again_is_the_same() {
-    for (what, scene) in hard_scenes() {
+    hard_scenes().par_iter().for_each(|(what, scene)| {
         for case in CASES {
             if case.format == SceneFormat::Spz && case.degree() < scene.sh_degree {
                 let folder = tempfile::tempdir().unwrap();
                 let path = folder.path().join(case.name);
-                let error = write_as(&scene, &path, case.format, &case.options()).unwrap_err();
+                let error = write_as(scene, &path, case.format, &case.options()).unwrap_err();
                 assert!(error.to_string().contains("version 4"), "{error}");
                 continue;
             }
-            check_fixed_point(case, &scene, &what);
+            check_fixed_point(case, scene, what);
         }
-    }
+    });
 }
 
 #[test]
