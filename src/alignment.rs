@@ -397,37 +397,33 @@ impl Alignment {
         if self.is_identity() {
             return Cow::Borrowed(scene);
         }
-        let rotation = self.rotation;
-        let turn = matrix_to_quat(&rotation);
-        let is_turned = rotation != Up::PLUS_Z.upright();
-        // Of an axis and without yaw a row of the rotation has one ±1 and two zeros: no rounding.
-        let direction =
-            |v: &[f32; 3]| rotation.map(|r| (0..3).map(|a| r[a] * f64::from(v[a])).sum::<f64>());
-        let add = self.scale.ln();
-        Cow::Owned(GaussianScene {
-            coord: scene
-                .coord
-                .par_iter()
-                .map(|p| direction(p).map(|v| (self.scale * v) as f32))
-                .collect(),
-            log_scale: scene
-                .log_scale
-                .par_iter()
-                .map(|s| s.map(|s| (f64::from(s) + add) as f32))
-                .collect(),
-            quat: scene
-                .quat
-                .par_iter()
-                .map(|&q| if is_turned { turned(turn, q) } else { q })
-                .collect(),
-            normal: scene
-                .normal
-                .as_ref()
-                .map(|n| n.par_iter().map(|n| direction(n).map(|v| v as f32)).collect()),
-            opacity_logit: scene.opacity_logit.clone(),
-            sh_dc: scene.sh_dc.clone(),
-            ..GaussianScene::default()
-        })
+        Cow::Owned(turned_and_scaled(scene, &self.rotation, self.scale))
+    }
+}
+
+/// A turned and scaled copy of what networks read (no labels, no higher harmonics).
+pub(crate) fn turned_and_scaled(
+    scene: &GaussianScene,
+    rotation: &Matrix3,
+    scale: f64,
+) -> GaussianScene {
+    let turn = matrix_to_quat(rotation);
+    let is_turned = *rotation != Up::PLUS_Z.upright();
+    // Of an axis and without yaw a row of the rotation has one ±1 and two zeros: no rounding.
+    let direction =
+        |v: &[f32; 3]| rotation.map(|r| (0..3).map(|a| r[a] * f64::from(v[a])).sum::<f64>());
+    let add = scale.ln();
+    let scaled = |s: &[f32; 3]| s.map(|s| (f64::from(s) + add) as f32);
+    let quat = |&q: &[f32; 4]| if is_turned { turned(turn, q) } else { q };
+    let normals = scene.normal.as_ref();
+    GaussianScene {
+        coord: scene.coord.par_iter().map(|p| direction(p).map(|v| (scale * v) as f32)).collect(),
+        log_scale: scene.log_scale.par_iter().map(scaled).collect(),
+        quat: scene.quat.par_iter().map(quat).collect(),
+        normal: normals.map(|n| n.par_iter().map(|n| direction(n).map(|v| v as f32)).collect()),
+        opacity_logit: scene.opacity_logit.clone(),
+        sh_dc: scene.sh_dc.clone(),
+        ..GaussianScene::default()
     }
 }
 

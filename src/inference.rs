@@ -16,12 +16,14 @@ use std::ops::Range;
 use std::path::PathBuf;
 use std::sync::{Mutex, MutexGuard, PoisonError};
 
+mod augmentation;
 mod budget;
 mod codes;
 mod example;
 mod kept;
 mod slots;
 
+pub use augmentation::MAX_COPIES;
 pub(crate) use budget::{MemoryNeed, scene_bytes};
 pub use codes::FeatureCodes;
 use slots::SlotStore;
@@ -102,6 +104,18 @@ pub struct EncodeProgress {
     pub done: f64,
 }
 
+impl EncodeProgress {
+    /// The same within all copies.
+    fn of_copy(self, index: usize, copies: usize) -> Self {
+        Self {
+            pass: index * self.passes + self.pass,
+            passes: copies * self.passes,
+            done: (index as f64 + self.done) / copies as f64,
+            ..self
+        }
+    }
+}
+
 /// Turns scenes into features.
 #[derive(Debug, Clone)]
 pub struct SceneEncoder<'a> {
@@ -119,6 +133,9 @@ pub struct SceneEncoder<'a> {
     pub halo: u32,
     /// Shuffles the curve orders with this seed, as the original does without one.
     pub shuffle_orders: Option<u64>,
+    /// Test-time augmentation: the mean over so many copies of the scene, 1 to 12: as it lies, its three
+    /// other quarter turns about the vertical, and these four at 0.95 and 1.05 times the size.
+    pub tta: usize,
     /// Brings features down to so many numbers, fewer than the network gives; `None`: as it gives
     /// them. Texts follow by themselves, see [`SceneFeatures::codes`].
     pub codes: Option<usize>,
@@ -178,6 +195,7 @@ impl<'a> SceneEncoder<'a> {
             max_memory: None,
             halo: 50,
             shuffle_orders: None,
+            tta: 1,
             codes: None,
             anchor: Anchor::Box,
             spill_folder: std::env::temp_dir(),
@@ -188,7 +206,7 @@ impl<'a> SceneEncoder<'a> {
     /// Features of every Gaussian of a scene.
     ///
     /// For a language network rows have unit length; for a classifier they are class
-    /// probabilities, averaged over the passes. The network reads the scene upright and in meters,
+    /// probabilities, averaged over the passes and copies. The network reads the scene upright and in meters,
     /// as [`alignment`](Self::alignment) says; what was done is in the result.
     ///
     /// # Errors
@@ -228,6 +246,27 @@ impl<'a> SceneEncoder<'a> {
         beside: u64,
         progress: &mut ProgressFn<'_>,
     ) -> Result<SceneFeatures, EncodeError> {
+        self.check_copies()?;
+        self.check_codes(self.network.model().out_channels())?;
+        let first = &mut |at: EncodeProgress| progress(at.of_copy(0, self.tta));
+        let mut features = self.encode_copy(scene, floors, beside, first)?;
+        if self.tta > 1 {
+            self.add_copies(scene, floors, beside, &mut features, progress)?;
+        }
+        match self.codes {
+            Some(codes) => features.into_codes(codes),
+            None => Ok(features),
+        }
+    }
+
+    /// Features of one copy, as the network gives them.
+    fn encode_copy(
+        &self,
+        scene: &GaussianScene,
+        floors: &Floors,
+        beside: u64,
+        progress: &mut ProgressFn<'_>,
+    ) -> Result<SceneFeatures, EncodeError> {
         let plan = self.plan(scene)?.above(floors.clone());
         let passes = plan.num_inputs();
         if passes == 0 {
@@ -236,7 +275,6 @@ impl<'a> SceneEncoder<'a> {
         check_inverse_map(scene, &plan, self.grid_size)?;
         let network = self.network.model();
         let width = network.out_channels();
-        self.check_codes(width)?;
         let budget = self.budget(scene, beside, &plan, width)?;
         let mut slots = if budget.spill {
             SlotStore::file(&self.spill_folder, plan.num_slots(), width)?
@@ -270,12 +308,7 @@ impl<'a> SceneEncoder<'a> {
         }
         let InferencePlan { sampled, inverse, .. } = plan;
         let calibrated = calibrated.map_or(Vec::new(), |c| c.kept);
-        let features =
-            SceneFeatures { sampled, calibrated, ..SceneFeatures::new(slots, inverse, summary) };
-        match self.codes {
-            Some(codes) => features.into_codes(codes),
-            None => Ok(features),
-        }
+        Ok(SceneFeatures { sampled, calibrated, ..SceneFeatures::new(slots, inverse, summary) })
     }
 
     /// The network with what an example decides, if it waits for one.

@@ -43,6 +43,8 @@ pub struct Setting {
     pub rank: Option<usize>,
     /// `passes`: how often the network runs.
     pub passes: Option<Passes>,
+    /// `tta`: copies of the scene, turned and scaled, whose mean is the result, 1 to 12.
+    pub tta: Option<usize>,
     /// `anchor`: where voxels are counted from, `box` or `world`.
     pub anchor: Option<Anchor>,
     /// `codes`: numbers of a feature, 1 to 256 and fewer than the network gives.
@@ -72,8 +74,19 @@ impl fmt::Display for Passes {
 
 impl Setting {
     /// All keys, in the order in which a setting is written.
-    pub const KEYS: [&'static str; 10] =
-        ["voxel", "net", "precision", "patch", "stage", "rank", "passes", "anchor", "codes", "k"];
+    pub const KEYS: [&'static str; 11] = [
+        "voxel",
+        "net",
+        "precision",
+        "patch",
+        "stage",
+        "rank",
+        "passes",
+        "tta",
+        "anchor",
+        "codes",
+        "k",
+    ];
 
     /// The parts that are named, in the order of [`KEYS`](Self::KEYS), with their values.
     pub fn parts(&self) -> Vec<(&'static str, String)> {
@@ -88,6 +101,7 @@ impl Setting {
             text(&self.stage),
             text(&self.rank),
             text(&self.passes),
+            text(&self.tta),
             self.anchor.map(|anchor| anchor.name().to_owned()),
             text(&self.codes),
             text(&self.k),
@@ -112,6 +126,7 @@ impl Setting {
             stage: self.stage.or(other.stage),
             rank: self.rank.or(other.rank),
             passes: self.passes.or(other.passes),
+            tta: self.tta.or(other.tta),
             anchor: self.anchor.or(other.anchor),
             codes: self.codes.or(other.codes),
             k: self.k.or(other.k),

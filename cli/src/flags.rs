@@ -179,7 +179,7 @@ pub struct Inference {
     #[arg(long, value_name = "M", value_parser = parse_grid_size, allow_hyphen_values = true)]
     pub grid_size: Option<f64>,
     /// All that trades accuracy for time in one string, such as voxel=0.04,patch=256,k=8: voxel, net,
-    /// precision, patch, stage, rank, passes, anchor, codes, k (docs/settings.md).
+    /// precision, patch, stage, rank, passes, tta, anchor, codes, k (docs/settings.md).
     #[arg(long, value_name = "KEY=VALUE,...", value_parser = parse_setting)]
     pub setting: Option<Setting>,
     /// The parts of the setting and of the flags that say the same, see [`Self::settled`].

@@ -247,7 +247,8 @@ struct Looker<'a> {
 impl<'a> Looker<'a> {
     fn new(encoder: &SceneEncoder<'a>, scene: &GaussianScene) -> Result<Self, EncodeError> {
         let sample = sample(scene)?;
-        let encoder = SceneEncoder { fidelity: Fidelity::Fast, codes: None, ..encoder.clone() };
+        let encoder =
+            SceneEncoder { fidelity: Fidelity::Fast, tta: 1, codes: None, ..encoder.clone() };
         Ok(Self { encoder, sample })
     }
 

@@ -58,6 +58,14 @@ impl SlotStore {
         Self { width, count: vec![1; slots], values: Values::Codes(code) }
     }
 
+    /// Memory of the rows.
+    pub(super) fn bytes(&self) -> u64 {
+        match &self.values {
+            Values::Memory(values) => size_of_val(values.as_slice()) as u64,
+            Values::File(_) | Values::Codes(_) => 0,
+        }
+    }
+
     pub(super) fn width(&self) -> usize {
         self.width
     }

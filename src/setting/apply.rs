@@ -49,7 +49,7 @@ impl Setting {
         Ok(config)
     }
 
-    /// The encoder with this voxel size, number of passes and width of features.
+    /// The encoder with this voxel size, number of passes and copies, and width of features.
     #[must_use]
     pub fn apply_to_encoder<'a>(&self, encoder: SceneEncoder<'a>) -> SceneEncoder<'a> {
         let mut encoder = encoder;
@@ -57,6 +57,7 @@ impl Setting {
             encoder.grid_size = voxel;
         }
         encoder.anchor = self.anchor.unwrap_or(encoder.anchor);
+        encoder.tta = self.tta.unwrap_or(encoder.tta);
         encoder.codes = self.codes.or(encoder.codes);
         match self.passes {
             None => {}
@@ -126,6 +127,12 @@ mod tests {
         assert_eq!(of("passes=3"), (plain.0, Fidelity::Passes(3), plain.2));
         assert_eq!(of("passes=all"), (plain.0, Fidelity::Exact, plain.2));
         assert_eq!(of("codes=5"), (plain.0, plain.1, Some(5)));
+        let tta = |text: &str| {
+            let setting: Setting = text.parse().unwrap();
+            let encoder = SceneEncoder { tta: 3, ..SceneEncoder::new(&network) };
+            setting.apply_to_encoder(encoder).tta
+        };
+        assert_eq!([tta(""), tta("tta=8"), tta("tta=1")], [3, 8, 1]);
         let anchor = |text: &str| {
             let setting: Setting = text.parse().unwrap();
             setting.apply_to_encoder(SceneEncoder::new(&network)).anchor

@@ -1,6 +1,7 @@
 //! A setting from its string.
 
 use super::{Passes, Setting, SettingError};
+use crate::inference::MAX_COPIES;
 use scenesplat_datasets::Anchor;
 use scenesplat_kernels::Precision;
 use scenesplat_kernels::grid_sample::{MAX_GRID_SIZE, is_grid_size};
@@ -82,6 +83,7 @@ impl Setting {
                 let read = count(1..=MAX_PASSES).map_err(|_| wrong(&expected))?;
                 self.passes = read.map(Passes::Count);
             }
+            "tta" => self.tta = count(1..=MAX_COPIES)?,
             "anchor" => {
                 let found = Anchor::ALL.into_iter().find(|(name, _)| *name == value);
                 self.anchor = Some(found.ok_or_else(|| wrong("box or world"))?.1);
@@ -99,7 +101,7 @@ mod tests {
     use super::*;
     use scenesplat_models::LastStage;
 
-    const ALL: &str = "voxel=0.04,net=litept-s,precision=bf16,patch=256,stage=coarse,rank=96,passes=all,anchor=world,codes=16,k=8";
+    const ALL: &str = "voxel=0.04,net=litept-s,precision=bf16,patch=256,stage=coarse,rank=96,passes=all,tta=4,anchor=world,codes=16,k=8";
 
     #[test]
     fn every_key_is_read_and_written() {
@@ -112,6 +114,7 @@ mod tests {
             stage: Some(LastStage::Coarse),
             rank: Some(96),
             passes: Some(Passes::All),
+            tta: Some(4),
             anchor: Some(Anchor::World),
             codes: Some(16),
             k: Some(8),
@@ -192,6 +195,8 @@ mod tests {
             ("rank=1e3", "rank", "1 to 16384"),
             ("passes=0", "passes", "all, or a number"),
             ("passes=ALL", "passes", "all, or a number"),
+            ("tta=0", "tta", "1 to 12"),
+            ("tta=13", "tta", "1 to 12"),
             ("codes=0", "codes", "1 to 256"),
             ("codes=257", "codes", "1 to 256"),
             ("k=-1", "k", "0 to 4096"),

@@ -165,6 +165,7 @@ fn settled(config: NetworkConfig, setting: &Setting) -> Result<NetworkConfig> {
         let unknown = match key {
             "precision" => setting.precision != Some(Precision::F32),
             "passes" => setting.passes != one_pass,
+            "tta" => setting.tta != Some(1),
             "anchor" | "codes" | "k" => true,
             _ => false,
         };

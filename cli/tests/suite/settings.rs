@@ -76,6 +76,12 @@ fn a_setting_is_the_flags_that_say_the_same() {
     assert_ne!(some, case.tiny("--setting passes=all,voxel=0.2"));
     let two = format!("{} {TINY} --setting passes=2,voxel=0.2 --out {}", case.scene, case.out(""));
     has(&told(&run!("features {two}")), &[" 2 passes,"]);
+    // The mean over copies, which the receipt and the console count.
+    let one = case.tiny("--setting tta=1,voxel=0.2");
+    assert_eq!(one, case.tiny("--setting passes=1,voxel=0.2"));
+    let copies = format!("{} {TINY} --setting tta=4,voxel=0.2 --out {}", case.scene, case.out(""));
+    has(&told(&run!("features {copies}")), &[" 4 passes,"]);
+    assert_ne!(one, bytes(case.out("features.npy")));
 }
 
 #[test]
@@ -224,7 +230,9 @@ fn estimates_follow_the_setting() {
     assert!(wide.0 < own.0 / 2.0 && wide.1 < own.1, "{own:?} {wide:?}");
     assert!(case.estimate("--setting patch=64").1 < own.1);
     assert_eq!(case.estimate("--setting passes=1,precision=f32"), own);
-    for part in ["k=8", "codes=16", "anchor=world", "precision=bf16", "passes=all", "passes=2"] {
+    for part in
+        ["k=8", "codes=16", "anchor=world", "precision=bf16", "passes=all", "passes=2", "tta=4"]
+    {
         refused(&run!("inspect {} --no-sheet --setting {part}", case.scene), 2, &[part]);
     }
 }
@@ -257,6 +265,7 @@ fn what_cannot_be_used_is_refused_by_name() {
         ("stage=middle", &["stage", "fine or coarse"]),
         ("precision=f64", &["precision", "bf16"]),
         ("passes=0", &["passes", "all"]),
+        ("tta=13", &["tta", "1 to 12"]),
         ("net=nowhere", &["net=nowhere", "litept-s"]),
         ("net=tiny", &["net", "--weights"]),
     ] {

@@ -11,7 +11,7 @@ use std::path::Path;
 use std::time::Instant;
 
 /// Work of a setting against that of the reference, roughly: voxels of a surface grow with the inverse
-/// square of their size, and passes add up. Other parts are taken to change nothing.
+/// square of their size, and passes and copies add up. Other parts are taken to change nothing.
 fn work(setting: &Setting, reference: &Setting) -> f64 {
     let voxels = match (setting.voxel, reference.voxel) {
         (Some(own), Some(their)) => (their / own).powi(2),
@@ -23,8 +23,10 @@ fn work(setting: &Setting, reference: &Setting) -> f64 {
         Some(Passes::Count(n)) => n as f64,
         Some(Passes::All) => 8.0,
     };
+    let copies = |s: &Setting| s.tta.unwrap_or(1) as f64;
+    let runs = |s: &Setting| passes(s) * copies(s);
     // Reading, voting and writing do not become less.
-    (voxels * passes(setting) / passes(reference)).max(0.25)
+    (voxels * runs(setting) / runs(reference)).max(0.25)
 }
 
 /// Seconds of a network on a set of scenes, by one run on the first of them.
@@ -124,6 +126,7 @@ mod tests {
         let of = |text: &str| work(&text.parse().unwrap(), &"voxel=0.04,passes=1".parse().unwrap());
         assert_eq!(of("voxel=0.04"), 1.0);
         assert_eq!(of("voxel=0.02,passes=2"), 8.0);
+        assert_eq!((of("tta=4"), of("passes=2,tta=4")), (4.0, 8.0));
         assert_eq!(of("voxel=1"), 0.25);
         // Two timed passes, a warm-up, and one that is scored: 10 s of them are no network.
         let price = Price { start: 1.0, timed: 3.0, scored: 13.0 };
