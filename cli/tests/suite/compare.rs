@@ -1,6 +1,8 @@
 //! `compare`: numbers, pairing, messages.
 
 use crate::support::*;
+use scenesplat::evaluation::EvaluationReport;
+use scenesplat::metrics::{ConfusionMatrix, Metric};
 use scenesplat::scene::picture::{Channels, Picture, RgbPicture, Samples};
 
 struct Place(Folder);
@@ -118,4 +120,79 @@ fn what_does_not_fit_together_is_said() {
     place.grey("b/one.png", 51);
     said("a", "b", "--lpips-weights missing.safetensors", "missing.safetensors");
     refused(&place.compare("a", "b", "--depth-scale 0"), 2, &[]);
+}
+
+/// An `evaluation.json` of two classes: so many of the first class and of the second are right, out of ten each.
+fn evaluation(right: [usize; 2], excluded: &[usize]) -> String {
+    let truth: Vec<i32> = (0..20).map(|i| i / 10).collect();
+    let said: Vec<i32> = (0..20_i32)
+        .map(|i| if (i % 10) < right[i as usize / 10] as i32 { i / 10 } else { 1 - i / 10 })
+        .collect();
+    let report = |said: &[i32]| {
+        let mut matrix = ConfusionMatrix::new(2).unwrap().with_excluded(excluded).unwrap();
+        matrix.update((said, &truth)).unwrap();
+        matrix.tester_report()
+    };
+    let counts = EvaluationReport {
+        oracle: report(&truth),
+        random: report(&truth),
+        model: Some(report(&said)),
+        given: None,
+        withheld: 0,
+    };
+    serde_json::json!({
+        "counts": counts, "classes": ["wall", "chair"], "excluded": excluded, "vote_k": 25,
+        "meaningless": false,
+    })
+    .to_string()
+}
+
+#[test]
+fn evaluations_are_compared_by_class_and_scene() {
+    let place = Place(Folder::new());
+    // Rows that both have right count once in the union, those exchanged twice: 8 of 12, 10 of 12 and so on.
+    for (name, a, b) in [("one", [8, 10], [10, 10]), ("two", [10, 6], [10, 9])] {
+        place.0.write(&format!("a/{name}/evaluation.json"), evaluation(a, &[0]));
+        place.0.write(&format!("b/{name}/evaluation.json"), evaluation(b, &[0]));
+    }
+    place.0.write("a/more/evaluation.json", evaluation([5, 5], &[0]));
+    let (report, picture) = (place.0.at("report.json"), place.0.at("scatter.png"));
+    let output = place.compare("a", "b", &format!("--json {report} --picture {picture}"));
+    let said = printed(&output);
+    has(&said, &["wall", "chair", "one", "two", "IoU: 2 classes are better in b, 0 are worse"]);
+    has(&told(&output), &["not in", "more", "other scenes"]);
+    let report = json(&report);
+    let near = |value: &serde_json::Value, due: &[f64]| {
+        assert_eq!(value.as_array().unwrap().len(), due.len(), "{value}");
+        for (value, due) in value.as_array().unwrap().iter().zip(due) {
+            assert!((value.as_f64().unwrap() - due).abs() < 1e-9, "{value} {due:?}");
+        }
+    };
+    // Over all scenes: 23 of 30 walls right with 9 chairs among them; 21 of 30 chairs.
+    near(&report["classes"][0]["iou"], &[23.0 / 39.0, 20.0 / 21.0]);
+    near(&report["classes"][1]["iou"], &[21.0 / 37.0, 19.0 / 20.0]);
+    near(&report["classes"][1]["accuracy"], &[21.0 / 30.0, 19.0 / 20.0]);
+    near(&report["f_miou"], &[21.0 / 37.0, 19.0 / 20.0]);
+    assert_eq!(report["scenes"].as_array().unwrap().len(), 2);
+    near(&report["scenes"][0]["iou"], &[10.0 / 12.0, 1.0]);
+    near(&report["scenes"][1]["iou"], &[6.0 / 10.0, 9.0 / 10.0]);
+    // Of the two scenes alone: 16 of 22 against 19 of 20, wherever the draws of two scenes may lie.
+    let bounds = &report["f_miou_change_of_scenes"];
+    near(bounds, &[19.0 / 20.0 - 16.0 / 22.0, 1.0 - 10.0 / 12.0, 9.0 / 10.0 - 6.0 / 10.0]);
+    assert_eq!(bytes(&picture)[1..4], *b"PNG");
+
+    // One file each; and what cannot be compared.
+    let one = place.compare("a/one/evaluation.json", "b/one/evaluation.json", "");
+    has(&printed(&one), &["80.00", "wall", "+20.00"]);
+    place.0.write("other.json", evaluation([8, 10], &[]));
+    for (b, part) in [
+        ("other.json", "leaves out"),
+        ("b/one", "no evaluation.json"),
+        ("scatter.png", "no evaluation.json"),
+    ] {
+        let a = if b == "b/one" { "scatter.png" } else { "a/one" };
+        refused(&place.compare(a, b, ""), 1, &[part]);
+    }
+    refused(&place.compare("a/one", "b/one", "--metrics psnr"), 2, &["--metrics"]);
+    refused(&place.compare("scatter.png", "scatter.png", "--picture x.png"), 2, &["--picture"]);
 }

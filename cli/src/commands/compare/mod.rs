@@ -1,15 +1,18 @@
 //! `scenesplat compare`
 
+mod evaluations;
 mod measure;
 mod pictures;
+mod scatter;
 mod table;
 
 use crate::error::refuse;
 use crate::outputs::Outputs;
 use crate::progress::{Progress, interrupted, listen_for_interrupt};
-use crate::terminal::{print, write_text};
+use crate::terminal::{print, tell_line, write_text};
 use anyhow::{Context, Result};
 use clap::ValueEnum;
+use evaluations::Comparison;
 use measure::{Measured, Summary, measure};
 use scenesplat::models::Lpips;
 use serde_json::json;
@@ -17,9 +20,11 @@ use std::path::{Path, PathBuf};
 
 /// Compares two pictures, PNG or JPEG, or those of two folders by their names without ending. The
 /// first is the render, the second the truth. 16-bit gray pictures are depth, all others color.
+///
+/// Two evaluations (`evaluation.json`, or the output folders of `evaluate`) are compared by class and by scene.
 #[derive(Debug, clap::Args)]
 pub struct Args {
-    /// A PNG or JPEG file, or a folder of such.
+    /// A PNG or JPEG file, or a folder of such; or an evaluation.json, or a folder with one.
     pub a: PathBuf,
     /// What it should be.
     pub b: PathBuf,
@@ -35,6 +40,9 @@ pub struct Args {
     /// Also writes all numbers as JSON here.
     #[arg(long, value_name = "FILE.json")]
     pub json: Option<PathBuf>,
+    /// Of two evaluations: draws each class and scene here, the first to the right, the second upward.
+    #[arg(long, value_name = "FILE.png")]
+    pub picture: Option<PathBuf>,
     /// Says nothing about the progress.
     #[arg(long)]
     pub quiet: bool,
@@ -73,6 +81,13 @@ pub fn run(args: &Args) -> Result<()> {
     let outputs = Outputs::new(Path::new(""));
     outputs.reads_any([Some(args.a.as_path()), Some(&args.b), args.lpips_weights.as_deref()])?;
     outputs.claim_any("--json", args.json.as_ref())?;
+    outputs.claim_any("--picture", args.picture.as_ref())?;
+    if let Some(comparison) = evaluations::find(&args.a, &args.b)? {
+        return tell(args, &comparison, &outputs);
+    }
+    if args.picture.is_some() {
+        refuse!("--picture is for two evaluations; {} is none", args.a.display());
+    }
     let progress = Progress::new(args.quiet);
     let pairs = pictures::pairs(&args.a, &args.b)?;
     let lpips = match &args.lpips_weights {
@@ -102,6 +117,25 @@ pub fn run(args: &Args) -> Result<()> {
         write_text(path, &report(&measured, &summary, net, note)?)?;
     }
     Ok(())
+}
+
+/// Prints and writes what two evaluations say.
+fn tell(args: &Args, comparison: &Comparison, outputs: &Outputs) -> Result<()> {
+    if !args.metrics.is_empty() || args.lpips_weights.is_some() {
+        refuse!("--metrics and --lpips-weights are for pictures, not for evaluations");
+    }
+    print(&comparison.table());
+    for remark in &comparison.remarks {
+        tell_line(&format!("warning: {remark}"));
+    }
+    if let Some(path) = &args.picture {
+        outputs.file(path, &scatter::scatter(comparison).to_picture().encode_png()?)?;
+    }
+    if let Some(path) = &args.json {
+        let text = serde_json::to_string_pretty(&comparison.json())? + "\n";
+        outputs.file(path, text.as_bytes())?;
+    }
+    outputs.commit(None)
 }
 
 fn report(
