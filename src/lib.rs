@@ -79,9 +79,15 @@ pub use setting::{Setting, SettingError};
 
 /// The types that nearly every program needs.
 pub mod prelude {
-    pub use crate::models::{Backbone, ModelConfig, PointTransformerV3Config};
+    pub use crate::datasets;
+    pub use crate::losses::{Loss, LossInput, Objective};
+    pub use crate::models::{Backbone, Forward, ModelConfig, ParamStore, PointTransformerV3Config};
     pub use crate::scene::{GaussianScene, ReadOptions, open_scene};
     pub use crate::text::read_text_table;
+    pub use crate::trainers::{
+        Callback, DataModule, Evaluator, Event, Flow, Progress, TrainError, Trainer, TrainerConfig,
+        TrainingModule,
+    };
     pub use crate::{
         Network, NetworkConfig, NetworkOutput, SceneEncoder, SceneFeatures, WeightOptions, Weights,
     };

@@ -15,7 +15,9 @@ impl FromStr for Bytes {
         let digits = lower.trim_end_matches(|c: char| c.is_ascii_alphabetic());
         let unit = &lower[digits.len()..];
         let factor: f64 = match unit {
-            "" | "b" => 1.0,
+            // Eight bytes are never meant.
+            "" => return Err(format!("{text:?} has no unit; write 8GB or 512MB (B for bytes)")),
+            "b" => 1.0,
             "k" | "kb" => 1e3,
             "m" | "mb" => 1e6,
             "g" | "gb" => 1e9,
@@ -79,11 +81,11 @@ mod tests {
     #[test]
     fn reads_what_people_write() {
         for (text, want) in
-            [("8GB", 8_000_000_000), ("512MiB", 536_870_912), ("1.5g", 1_500_000_000), ("42", 42)]
+            [("8GB", 8_000_000_000), ("512MiB", 536_870_912), ("1.5g", 1_500_000_000), ("42B", 42)]
         {
             assert_eq!(text.parse::<Bytes>().unwrap(), Bytes(want));
         }
-        for bad in ["", "GB", "-1GB", "8XB", "0", "nan", "inf"] {
+        for bad in ["", "GB", "-1GB", "8XB", "8", "0GB", "nan", "inf"] {
             assert!(bad.parse::<Bytes>().is_err(), "{bad}");
         }
     }

@@ -5,6 +5,11 @@
 #[error("{0}")]
 pub struct WrongUse(pub String);
 
+/// A training was asked to stop, and saved what a resume needs. Exit code 4; said already.
+#[derive(Debug, thiserror::Error)]
+#[error("stopped and saved")]
+pub struct Saved;
+
 /// Returns a [`WrongUse`] with a formatted message from the function.
 macro_rules! refuse {
     ($($message:tt)*) => {

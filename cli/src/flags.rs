@@ -21,7 +21,7 @@ pub struct Running {
     /// Threads; all cores by default. Results do not depend on it.
     #[arg(long, value_name = "N")]
     pub threads: Option<usize>,
-    /// Says nothing about the progress, and prints no receipt; results are still printed.
+    /// Says nothing about the progress, and prints no receipt; results and warnings are still printed.
     #[arg(long)]
     pub quiet: bool,
 }

@@ -1,7 +1,7 @@
 //! What a long command shows: a bar on a terminal, plain lines elsewhere; and stopping on Ctrl-C or SIGTERM.
 
 use crate::flags::Running;
-use crate::terminal::{is_terminal, tell_line};
+use crate::terminal::{is_terminal, note_warning, tell_line};
 use crate::threads::set_threads;
 use anyhow::Result;
 use indicatif::{ProgressBar, ProgressStyle};
@@ -82,6 +82,19 @@ impl Progress {
             Some(bar) => bar.println(printable_text(text.as_ref())),
             None => tell_line(text.as_ref()),
         }
+    }
+
+    /// Says a warning on standard error, whether quiet or not, each once. Whether it is new.
+    pub fn warn(&self, text: &str) -> bool {
+        let is_new = note_warning(text);
+        if is_new {
+            let line = format!("warning: {text}");
+            match self.bar.borrow().as_ref() {
+                Some(bar) => bar.println(printable_text(&line)),
+                None => tell_line(&line),
+            }
+        }
+        is_new
     }
 
     /// Shows how far a step is, `done` in 0..=1.

@@ -444,8 +444,10 @@ impl fmt::Display for ReceiptReport {
                 bytes_text(file.bytes)
             )?;
         }
-        for warning in &self.warnings {
-            writeln!(f, "  warning: {warning}")?;
+        match self.warnings.len() {
+            0 => {}
+            1 => writeln!(f, "  a warning, told above")?,
+            count => writeln!(f, "  {count} warnings, told above")?,
         }
         if let Some(BudgetReport { asked_s, expected_s, spent_s, setting }) = &self.budget {
             let asked = asked_s.map_or("no time".to_owned(), |s| format!("{s:.3} s"));
@@ -632,7 +634,7 @@ mod tests {
             ]
         );
         let table = report.to_string();
-        for part in ["1 234 567", "grid_size = 0.05", "zero quaternions", "avx512, f32", "total"] {
+        for part in ["1 234 567", "grid_size = 0.05", "a warning", "avx512, f32", "total"] {
             assert!(table.contains(part), "{part} in\n{table}");
         }
     }

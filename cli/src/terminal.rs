@@ -26,6 +26,10 @@ thread_local! {
     static CAPTURED: RefCell<Option<Captured>> = const { RefCell::new(None) };
     /// The first thing that went wrong with standard output.
     static FAILED: Cell<Option<Error>> = const { Cell::new(None) };
+    /// What the command warned of.
+    static WARNINGS: RefCell<Vec<String>> = const { RefCell::new(Vec::new()) };
+    /// Whether a warning is an error.
+    static STRICT: Cell<bool> = const { Cell::new(false) };
 }
 
 /// Gives the result of `work` with what it printed on this thread.
@@ -95,6 +99,38 @@ fn note(written: std::io::Result<()>) {
     if let Err(error) = written {
         FAILED.set(FAILED.take().or(Some(error)));
     }
+}
+
+/// Begins a command: nothing was warned of yet. `strict`: warnings are errors.
+pub fn forget_warnings(strict: bool) {
+    WARNINGS.take();
+    STRICT.set(strict);
+}
+
+/// Notes a warning. Whether it is new: each is told once.
+pub fn note_warning(text: &str) -> bool {
+    WARNINGS.with_borrow_mut(|known| {
+        let is_new = !known.iter().any(|one| one == text);
+        if is_new {
+            known.push(text.to_owned());
+        }
+        is_new
+    })
+}
+
+/// That nothing was warned of, where warnings are errors.
+///
+/// # Errors
+/// If something was.
+pub fn check_warnings() -> Result<()> {
+    WARNINGS.with_borrow(|all| match all.as_slice() {
+        [first, rest @ ..] if STRICT.get() => {
+            let more =
+                if rest.is_empty() { String::new() } else { format!(" and {} more", rest.len()) };
+            bail!("--warnings-as-errors: {first}{more}")
+        }
+        _ => Ok(()),
+    })
 }
 
 /// Whether everything that was printed got where it goes.

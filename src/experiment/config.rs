@@ -18,7 +18,7 @@ use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
 
 use super::teacher::TeacherConfig;
-use file::read_table;
+use file::{read_table, set};
 
 type Result<T, E = ExperimentError> = std::result::Result<T, E>;
 
@@ -322,9 +322,25 @@ impl ExperimentConfig {
     /// # Errors
     /// As [`read`](Self::read).
     pub fn read_with(path: &Path, variable: &dyn Fn(&str) -> Option<String>) -> Result<Self> {
-        let table = read_table(path, variable, &mut Vec::new())?;
+        Self::from_table(path, &read_table(path, variable, &mut Vec::new())?)
+    }
+
+    /// As [`read`](Self::read), with changes such as `optimizer.lr=1e-3` or `train.0.repeat=4`: the path of a setting, and
+    /// its value as TOML; what is no TOML is a text.
+    ///
+    /// # Errors
+    /// As [`read`](Self::read); also if a change names nothing that can be set.
+    pub fn read_changed(path: &Path, changes: &[String]) -> Result<Self> {
+        let mut table = read_table(path, &|name| std::env::var(name).ok(), &mut Vec::new())?;
+        for change in changes {
+            set(&mut table, change)?;
+        }
+        Self::from_table(path, &table)
+    }
+
+    fn from_table(path: &Path, table: &toml::Table) -> Result<Self> {
         let place = || path.display().to_string();
-        let text = toml::to_string(&table).at(place)?;
+        let text = toml::to_string(table).at(place)?;
         let mut config: Self = toml::from_str(&text).at(place)?;
         config.check().at(place)?;
         config.place(path.parent().unwrap_or(Path::new("")));
@@ -368,8 +384,10 @@ impl ExperimentConfig {
         Ok(precision)
     }
 
-    /// Makes relative paths start at `folder`.
+    /// Makes relative paths start at `folder`, and so the same for whoever reads them in the folder of the run.
     fn place(&mut self, folder: &Path) {
+        let folder = std::path::absolute(folder).unwrap_or_else(|_| folder.to_owned());
+        let folder = folder.as_path();
         let place = |path: &mut PathBuf| {
             if path.is_relative() {
                 *path = folder.join(&*path);

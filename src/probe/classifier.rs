@@ -268,4 +268,15 @@ mod tests {
         let labels = LabelRegime::PerScene(0);
         assert!(refused(ProbeSettings { labels, ..settings }).contains("labels"));
     }
+
+    #[test]
+    fn logits_are_what_the_last_layer_gives() {
+        let settings = ProbeSettings { steps: 150, lr: 0.02, ..ProbeSettings::default() };
+        let learned = rows(100);
+        let probe = Classifier::train(&learned, 2, &settings).unwrap();
+        let logits = probe.logits(&learned.rows).unwrap().flatten_all().unwrap();
+        let least = logits.to_vec1::<f32>().unwrap().into_iter().fold(0.0, f32::min);
+        // A GELU gives nothing below -0.17.
+        assert!(least < -0.5, "{least}");
+    }
 }

@@ -294,4 +294,20 @@ mod tests {
         assert_eq!(found.rows.to_vec2::<f32>().unwrap(), [[2.0, 3.0]]);
         assert!(objects(&[scene_of(&[-1], &[0])]).unwrap().is_none());
     }
+
+    #[test]
+    fn the_first_instance_has_number_0() {
+        let scene = scene_of(&[2, 2, 1], &[0, 0, 1]);
+        let found = objects(&[scene]).unwrap().unwrap();
+        assert_eq!(found.labels, [2, 1]);
+    }
+
+    #[test]
+    fn there_are_as_many_classes_as_the_largest_label_of_any_scene_says() {
+        let scenes =
+            [scene_of(&[1, 0], &[0, 0]), scene_of(&[3, -1], &[0, 0]), scene_of(&[0], &[0])];
+        assert_eq!(super::super::classes_of(scenes.iter()).unwrap(), 4);
+        let none = [scene_of(&[-1], &[0])];
+        assert!(matches!(super::super::classes_of(none.iter()), Err(ProbeError::NoLabels)));
+    }
 }

@@ -66,3 +66,25 @@ impl ProbeScenes {
         Ok((dataset(train)?, dataset(test)?))
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use scenesplat_datasets::SyntheticRooms;
+
+    #[test]
+    fn a_quarter_of_the_scenes_is_scored() {
+        let of = |count: usize, test: Option<usize>| {
+            let source =
+                SyntheticRooms::new(count, scenesplat_rooms::SyntheticRoomSettings::default(), 1);
+            ProbeScenes::new(Arc::new(source.unwrap()), 0.1, test).map(|scenes| scenes.test)
+        };
+        assert_eq!([2, 3, 4, 8, 11].map(|count| of(count, None).unwrap()), [1, 1, 1, 2, 2]);
+        assert_eq!(of(8, Some(5)).unwrap(), 5);
+        assert!(matches!(of(1, None), Err(ProbeError::TooFewScenes { scenes: 1 })));
+        assert!(of(8, Some(0)).is_err() && of(8, Some(8)).is_err());
+        let source = Arc::new(SyntheticRooms::new(8, Default::default(), 1).unwrap());
+        let (train, test) = ProbeScenes::new(source, 0.1, Some(3)).unwrap().split().unwrap();
+        assert_eq!((train.len(), test.len()), (5, 3));
+    }
+}

@@ -1,4 +1,5 @@
-//! The commands of the program. Exit codes: 0 done, 1 failed, 2 wrong use, 3 some of many scenes failed.
+//! The commands of the program. Exit codes: 0 done, 1 failed, 2 wrong use, 3 some of many scenes failed, 4 a
+//! training stopped and saved.
 
 mod bench;
 mod chunk;
@@ -34,8 +35,9 @@ mod train;
 mod view;
 mod weights;
 
-use crate::error::WrongUse;
+use crate::error::{Saved, WrongUse};
 use crate::terminal;
+use clap::error::ErrorKind;
 use clap::{CommandFactory, FromArgMatches, Parser, Subcommand};
 use std::ffi::OsString;
 
@@ -45,6 +47,9 @@ use std::ffi::OsString;
 struct Cli {
     #[command(subcommand)]
     command: Command,
+    /// Fails where there is a warning; nothing is written then.
+    #[arg(long, global = true)]
+    warnings_as_errors: bool,
 }
 
 #[derive(Debug, Subcommand)]
@@ -122,7 +127,10 @@ pub fn run(args: impl IntoIterator<Item = OsString>) -> u8 {
     }
     let parsed = matches.and_then(|matches| Cli::from_arg_matches(&matches));
     match parsed.map_err(|error| error.format(&mut command)) {
-        Ok(cli) => end(cli.command.run(&line)),
+        Ok(cli) => {
+            terminal::forget_warnings(cli.warnings_as_errors);
+            end(cli.command.run(&line).and_then(|()| terminal::check_warnings()))
+        }
         // Help and version are no errors.
         Err(e) if !e.use_stderr() => {
             terminal::print_usage(&e);
@@ -130,6 +138,10 @@ pub fn run(args: impl IntoIterator<Item = OsString>) -> u8 {
         }
         Err(e) => {
             terminal::print_usage(&e);
+            if e.kind() == ErrorKind::UnknownArgument && args.iter().skip(1).any(|a| a == "train") {
+                let tip = "tip: settings of the file are changed as in --set trainer.epochs=3";
+                terminal::tell_line(tip);
+            }
             2
         }
     }
@@ -174,6 +186,9 @@ impl Command {
 /// Prints the error of a command, or that its results did not get out, and gives the exit code.
 fn end(done: anyhow::Result<()>) -> u8 {
     let Err(e) = done.and_then(|()| terminal::check_output()) else { return 0 };
+    if e.downcast_ref::<Saved>().is_some() {
+        return 4;
+    }
     terminal::print_error(&e);
     match () {
         () if e.downcast_ref::<WrongUse>().is_some() => 2,

@@ -101,11 +101,12 @@ impl<'a> Session<'a> {
         *self.input.borrow_mut() = Some(chosen.input);
     }
 
-    /// Prints a warning on standard error and records it.
+    /// Prints a warning on standard error, also if quiet, and records it; each once.
     pub fn warn(&self, text: impl Into<String>) {
         let text = text.into();
-        self.progress.say(&text);
-        self.receipt.warning(text);
+        if self.progress.warn(&text) {
+            self.receipt.warning(text);
+        }
     }
 
     /// The files of some kind that belong to cameras, in the folder that a flag names; says how many were found.
@@ -145,8 +146,9 @@ impl<'a> Session<'a> {
     /// As [`warn`](Self::warn), between asterisks.
     pub fn warn_loudly(&self, text: impl Into<String>) {
         let text = text.into();
-        self.progress.say(format!("*** {text} ***"));
-        self.receipt.warning(text);
+        if self.progress.warn(&format!("*** {text} ***")) {
+            self.receipt.warning(text);
+        }
     }
 
     /// Stops here if the user asked to.

@@ -36,7 +36,7 @@ impl Session<'_> {
         let network = Network::load_on(config, weights, options, &device.device)?;
         self.note_weights(&network, weights);
         if partial && !network.report().is_complete() {
-            self.receipt.warning(format!("partial weights: {}", network.report()));
+            self.warn(format!("partial weights: {}", network.report()));
         }
         Ok(network)
     }

@@ -3,7 +3,7 @@
 use super::Session;
 use crate::flags::PreviewArgs;
 use crate::receipt::WrittenFile;
-use crate::terminal::{print, write_text};
+use crate::terminal::{check_warnings, print, write_text};
 use anyhow::{Context, Result};
 use scenesplat::memory::Bytes;
 use scenesplat::outputs::{OpenedScene, write_scene_preview};
@@ -91,8 +91,9 @@ impl Session<'_> {
         };
         self.receipt.written(written.iter().map(file).collect());
         for fallback in scenesplat::kernels::fallbacks::take() {
-            self.receipt.warning(scenesplat::device::on_the_cpu(&fallback));
+            self.warn(scenesplat::device::on_the_cpu(&fallback));
         }
+        check_warnings()?;
         let report = self.receipt.finish();
         let text = report.to_json()?;
         self.outputs.commit(Some((&text, self.shared.receipt.as_deref())))?;
@@ -109,6 +110,7 @@ impl Session<'_> {
             return self.finish();
         }
         self.check_stop()?;
+        check_warnings()?;
         self.outputs.commit(None)?;
         self.say_written();
         Ok(())

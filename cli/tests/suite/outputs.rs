@@ -245,6 +245,8 @@ fn termination_of_a_training_saves_it() {
     let log = folder.path("run/metrics.jsonl");
     let line = format!("train {config} --out {}", folder.at("run"));
     let output = terminated(&line, || fs::metadata(&log).is_ok_and(|about| about.len() > 0));
-    has(&printed(&output), &["stopped at step", "--resume"]);
+    assert_eq!(output.status.code(), Some(4), "{}", stderr(&output));
+    has(&stdout(&output), &["stopped at step", "--resume"]);
+    assert!(!stderr(&output).contains("error"), "{}", stderr(&output));
     assert!(fs::read_dir(folder.path("run/checkpoints")).unwrap().count() > 0);
 }

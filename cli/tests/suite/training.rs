@@ -27,6 +27,66 @@ fn a_run_leaves_what_it_promises_and_its_weights_work() {
     done(&run!("evaluate synthetic:1:3 {words}"));
 }
 
+#[test]
+fn settings_are_changed_from_the_command_line() {
+    let folder = Folder::new();
+    let config = folder.write("experiment.toml", small_segmentation());
+    let text = small_segmentation();
+    let checked = |config: &str, more: &str| printed(&run!("train {config} --check {more}"));
+    // As in a file that says so.
+    let edited = text.replace("epochs = 2", "epochs = 3");
+    assert_ne!(edited, text);
+    let by_file = checked(&folder.write("edited.toml", &edited), "");
+    assert_eq!(checked(&config, "--set trainer.epochs=3"), by_file);
+    let several = "--set trainer.epochs=9 --set trainer.epochs=3 --set precision=bf16";
+    has(&checked(&config, several), &["epochs = 3", "precision = \"bf16\""]);
+    has(&checked(&config, "--set train.0.repeat=5 --set optimizer.groups=[]"), &["repeat = 5"]);
+    has(&checked(&config, "--set trainer.checkpoint.keep=7"), &["keep = 7"]);
+    for (change, part) in [
+        ("trainer.epoch=3", "unknown field `epoch`"),
+        ("trainer.epochs=many", "trainer"),
+        ("trainer.epochs", "KEY=VALUE"),
+        ("trainer..epochs=3", "no path of a setting"),
+        ("train.7.repeat=5", "train is a list of 1"),
+        ("train.repeat=5", "train is a list of 1"),
+        ("train=5", "train is a list of 1"),
+        ("task.name=5", "holds no settings"),
+    ] {
+        refused(&run!("train {config} --check --set {change}"), 1, &[part]);
+    }
+    let misspelt = run!("train {config} --epochs 3");
+    refused(&misspelt, 2, &["--epochs", "--set trainer.epochs=3"]);
+}
+
+#[test]
+fn a_run_goes_on_from_its_folder_alone() {
+    let folder = Folder::new();
+    let config = folder.write("sub/experiment.toml", small_segmentation());
+    let run = folder.at("run");
+    let often = "--set trainer.checkpoint.every_steps=3 --set trainer.checkpoint.keep=9";
+    done(&run!("train {config} --quiet --out {run} {often}"));
+    let weights = || bytes(folder.path("run/model/model.safetensors"));
+    let whole = weights();
+    // As if it had been killed after its sixth step.
+    let mut steps: Vec<_> = std::fs::read_dir(folder.path("run/checkpoints"))
+        .unwrap()
+        .map(|entry| entry.unwrap().path())
+        .filter(|path| path.is_dir())
+        .collect();
+    steps.sort();
+    assert!(steps.len() >= 3, "{steps:?}");
+    std::fs::remove_dir_all(steps.pop().unwrap()).unwrap();
+    std::fs::remove_dir_all(folder.path("run/model")).unwrap();
+    refused(&run!("train {run} --quiet"), 2, &["--resume"]);
+    refused(&run!("train {run} --resume --out {run}2"), 2, &["--out"]);
+    let other = run!("train {run} --resume --quiet --set loader.seed=7");
+    refused(&other, 1, &["seed was 0 and is 7"]);
+    let said = told(&run!("train {run} --resume"));
+    assert!(said.contains("step 8/8") && !said.contains("step 1/8"), "{said}");
+    assert!(weights() == whole, "other bits after a resume from the folder");
+    refused(&run!("train {} --resume", folder.at("nowhere")), 1, &["nowhere"]);
+}
+
 /// A tiny student of the network inside the program.
 fn distillation() -> String {
     let network = Network { grid_size: 0.2, head: "projection = 96", ..Network::default() };

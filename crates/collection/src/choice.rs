@@ -92,4 +92,16 @@ mod tests {
         assert_eq!((found[5], found[6]), (0.1, 1.0));
         assert_eq!(relative_sharpness(&[0.0, 0.0]), [1.0, 1.0]);
     }
+
+    #[test]
+    fn sharpness_is_seen_from_five_pictures_away_and_no_further() {
+        for sharpest in [0, 8, 16] {
+            let mut sharpness = [1.0; 17];
+            sharpness[sharpest] = 10.0;
+            for (i, part) in relative_sharpness(&sharpness).into_iter().enumerate() {
+                let near = i.abs_diff(sharpest) <= NEIGHBOURS && i != sharpest;
+                assert_eq!(part, if near { 0.1 } else { 1.0 }, "{i} of {sharpest}");
+            }
+        }
+    }
 }

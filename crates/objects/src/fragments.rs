@@ -206,4 +206,18 @@ mod tests {
         let found = join(vec![one, two, bit], &coord, 0.1, 1, false);
         assert_eq!(found.iter().map(Vec::len).collect::<Vec<_>>(), [216, 224]);
     }
+
+    #[test]
+    fn a_curtain_and_a_wardrobe_are_no_pair() {
+        let at = |x: f64, depth: f64| UprightBox {
+            center: [x, 0.0, 1.0],
+            size: [0.5, depth, 2.0],
+            yaw: 0.0,
+        };
+        let (left, right) = (at(0.0, 0.08), at(1.0, 0.08));
+        assert!(is_pair(&left, &right));
+        for thick in [is_pair(&left, &at(1.0, 0.45)), is_pair(&at(0.0, 0.45), &right)] {
+            assert!(!thick);
+        }
+    }
 }

@@ -154,4 +154,20 @@ mod tests {
         // The lamp at the ceiling is 1.3 m above it.
         assert!(!near_furniture.contains(&3), "{near_furniture:?}");
     }
+
+    #[test]
+    fn inside_is_within_in_plan_and_in_height() {
+        let mut room = room();
+        room.objects = vec![
+            object("box", [0.0, 0.0, 0.5], [1.0, 1.0, 1.0]),
+            object("ball", [0.2, 0.2, 0.5], [0.2, 0.2, 0.2]),
+            // Over it, through its top, below it, and beside it.
+            object("ball", [0.2, 0.2, 2.5], [0.2, 0.2, 0.2]),
+            object("ball", [0.2, 0.2, 1.0], [0.2, 0.2, 0.8]),
+            object("ball", [0.2, 0.2, -1.0], [0.2, 0.2, 0.2]),
+            object("ball", [3.0, 0.2, 0.5], [0.2, 0.2, 0.2]),
+        ];
+        let found = related(&room, |o| o.class == "ball", Relation::In, |o| o.class == "box");
+        assert_eq!(found, [1]);
+    }
 }

@@ -45,3 +45,24 @@ impl ObjectSettings {
         check_setting(fits, "min_similarity", cosine, "a cosine, -1 to 1")
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn values_out_of_range_are_refused() {
+        let with = |min_similarity| ObjectSettings { min_similarity, ..ObjectSettings::default() };
+        for cosine in [-1.0, 0.0, 1.0] {
+            assert!(with(cosine).check().is_ok(), "{cosine}");
+        }
+        for cosine in [-1.01, 1.01, f32::NAN] {
+            assert!(with(cosine).check().is_err(), "{cosine}");
+        }
+        let gap = |gap| ObjectSettings { gap: Some(gap), ..ObjectSettings::default() };
+        assert!(
+            gap(0.05).check().is_ok() && gap(0.0).check().is_err() && gap(11.0).check().is_err()
+        );
+        assert!(ObjectSettings { min_count: 0, ..ObjectSettings::default() }.check().is_err());
+    }
+}

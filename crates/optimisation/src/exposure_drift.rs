@@ -250,4 +250,13 @@ mod tests {
         let drift = exposure_drift(&frames, &wall()).unwrap();
         assert!(drift.log_gains[3].is_none() && !drift.is_present(), "{drift:?}");
     }
+
+    #[test]
+    fn balance_is_of_red_against_blue() {
+        let tints: Vec<f64> = (0..9).map(|i| 0.9 + 0.05 * f64::from(i % 5)).collect();
+        let made: Vec<[f64; 3]> = tints.iter().map(|t| [*t, 1.0, 1.0 / t]).collect();
+        let drift = exposure_drift(&frames(&made), &wall()).unwrap();
+        let want = deviation(&tints.iter().map(|t| t.ln()).collect::<Vec<_>>());
+        assert!((drift.balance / want - 1.0).abs() < 0.3, "{} {want}", drift.balance);
+    }
 }

@@ -296,4 +296,17 @@ pub(crate) mod tests {
         let error = bad.check().unwrap_err().to_string();
         assert!(error.contains("\"a\"") && error.contains("18") && error.contains("17"), "{error}");
     }
+
+    #[test]
+    fn the_scale_of_cameras_is_about_their_mean() {
+        let at = |x: f32| {
+            let mut view = view(4, 4);
+            view.world_to_camera[0][3] = -x;
+            frame(view, None)
+        };
+        // 1 from their mean at 11.
+        assert!((scale_of_cameras(&[at(10.0), at(12.0)]) - 1.1).abs() < 1e-6);
+        assert_eq!(scale_of_cameras(&[at(10.0), at(10.0)]), 1.0);
+        assert_eq!(scale_of_cameras(&[]), 1.0);
+    }
 }

@@ -147,4 +147,20 @@ mod tests {
             assert!(from_points(&[], &[], &settings, 1).is_err());
         }
     }
+
+    #[test]
+    fn boxes_without_an_inside_are_refused() {
+        let (zero, one) = ([0.0; 3], [1.0; 3]);
+        for (low, high) in [
+            (zero, [0.0, 1.0, 1.0]),
+            ([f32::NAN, 0.0, 0.0], one),
+            ([0.0, f32::NEG_INFINITY, 0.0], one),
+            (zero, [1.0, 1.0, f32::INFINITY]),
+            (zero, [1.0, f32::NAN, 1.0]),
+            (one, zero),
+        ] {
+            assert!(random_points(3, [low, high], 1).is_err(), "{low:?} {high:?}");
+        }
+        assert_eq!(random_points(3, [zero, one], 1).unwrap().0.len(), 3);
+    }
 }

@@ -246,4 +246,14 @@ mod tests {
             flat.iter().zip([0.2f32, 0.4, 0.6, 0.2, 0.4, 0.6]).all(|(a, b)| (a - b).abs() < 1e-6)
         );
     }
+
+    #[test]
+    fn what_is_fitted_stays_a_picture() {
+        // One gain from the first two pixels; the third, which is masked, would be 1.5 and the fourth -0.5.
+        let pred: Vec<f32> = [0.25, 0.75, 1.0, 0.0].iter().flat_map(|v| [*v; 3]).collect();
+        let truth: Vec<f32> = [0.0, 1.0, 0.0, 0.0].iter().flat_map(|v| [*v; 3]).collect();
+        let fitted = exposed(&pred, &truth, Some(&[1, 1, 0, 0]));
+        let want: Vec<f32> = [0.0, 1.0, 1.0, 0.0].iter().flat_map(|v| [*v; 3]).collect();
+        assert!(fitted.iter().zip(&want).all(|(a, b)| (a - b).abs() < 1e-6), "{fitted:?}");
+    }
 }

@@ -243,4 +243,13 @@ mod tests {
         }
         assert!(points_in_view(&[], 10, 1).unwrap().0.0.is_empty());
     }
+
+    #[test]
+    fn points_are_drawn_from_all_frames() {
+        // Two cameras back to back share nothing.
+        let frames = [looking([0.0; 3], [1.0, 0.0, 0.0]), looking([0.0; 3], [-1.0, 0.0, 0.0])];
+        let points = seen_points(&frames, 400, 1, 1);
+        let ahead = points.iter().filter(|p| p[0] > 0.0).count();
+        assert!(points.len() == 400 && (150..250).contains(&ahead), "{ahead} of {}", points.len());
+    }
 }

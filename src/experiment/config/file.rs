@@ -63,6 +63,49 @@ fn with_variables(text: &str, variable: &dyn Fn(&str) -> Option<String>) -> Resu
     Ok(out)
 }
 
+/// Sets what a change such as `trainer.epochs=3` says.
+pub(super) fn set(table: &mut toml::Table, change: &str) -> Result<()> {
+    let wrong = |problem: String| ExperimentError::setting(change, problem);
+    let Some((path, text)) = change.split_once('=') else {
+        return Err(wrong("expected KEY=VALUE, as in trainer.epochs=3".to_owned()));
+    };
+    let (path, text) = (path.trim(), text.trim());
+    // Names of presets, precisions and files need no quotes.
+    let value = format!("value = {text}").parse::<toml::Table>().ok();
+    let value = value.and_then(|mut table| table.remove("value"));
+    let value = value.unwrap_or_else(|| toml::Value::String(text.to_owned()));
+    let (parents, name) = path.rsplit_once('.').map_or((None, path), |(p, n)| (Some(p), n));
+    if path.split('.').any(str::is_empty) {
+        return Err(wrong(format!("{path:?} is no path of a setting")));
+    }
+    let mut at = table;
+    let mut keys = parents.into_iter().flat_map(|parents| parents.split('.')).peekable();
+    while let Some(key) = keys.next() {
+        let entry = at.entry(key).or_insert_with(|| toml::Value::Table(toml::Table::new()));
+        at = match entry {
+            toml::Value::Table(inner) => inner,
+            toml::Value::Array(list) => {
+                let count = list.len();
+                let index = keys.next().and_then(|index| index.parse::<usize>().ok());
+                let tables = list.iter_mut().map(toml::Value::as_table_mut);
+                let found = index.and_then(|index| tables.into_iter().nth(index)).flatten();
+                found.ok_or_else(|| {
+                    wrong(format!("{key} is a list of {count}: {key}.0 is the first of its tables"))
+                })?
+            }
+            other => return Err(wrong(format!("{key} is {other}, and holds no settings"))),
+        };
+    }
+    if let Some(toml::Value::Array(list)) = at.get(name)
+        && list.iter().any(toml::Value::is_table)
+        && !value.is_array()
+    {
+        return Err(wrong(format!("{name} is a list of {}, not a value", list.len())));
+    }
+    at.insert(name.to_owned(), value);
+    Ok(())
+}
+
 /// Puts `own` over `base`. A table that changes its `type` replaces the other: its fields are none
 /// of the new one's.
 fn join(base: &mut toml::Table, own: toml::Table) {

@@ -167,7 +167,7 @@ impl Work<'_> {
         let count = |of: fn(&FrameRecord) -> bool| all.iter().filter(|r| of(r)).count();
         let empty = count(|r| r.segments == 0);
         if empty > 0 {
-            receipt.warning(format!("{empty} pictures have no segment"));
+            session.warn(format!("{empty} pictures have no segment"));
         }
         let single = count(|r| r.single_segment);
         if single > 0 {
@@ -176,7 +176,7 @@ impl Work<'_> {
             } else {
                 "a feature of its own"
             };
-            receipt.warning(format!("{single} pictures have a single segment, which got {what}"));
+            session.warn(format!("{single} pictures have a single segment, which got {what}"));
         }
         let left_out: usize = all.iter().map(|r| r.left_out).sum();
         if left_out > 0 {

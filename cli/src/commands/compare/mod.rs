@@ -9,7 +9,7 @@ mod table;
 use crate::error::refuse;
 use crate::outputs::Outputs;
 use crate::progress::{Progress, interrupted, listen_for_interrupt};
-use crate::terminal::{print, tell_line, write_text};
+use crate::terminal::{check_warnings, print, write_text};
 use anyhow::{Context, Result};
 use clap::ValueEnum;
 use evaluations::Comparison;
@@ -126,7 +126,7 @@ fn tell(args: &Args, comparison: &Comparison, outputs: &Outputs) -> Result<()> {
     }
     print(&comparison.table());
     for remark in &comparison.remarks {
-        tell_line(&format!("warning: {remark}"));
+        Progress::new(args.quiet).warn(remark);
     }
     if let Some(path) = &args.picture {
         outputs.file(path, &scatter::scatter(comparison).to_picture().encode_png()?)?;
@@ -135,6 +135,7 @@ fn tell(args: &Args, comparison: &Comparison, outputs: &Outputs) -> Result<()> {
         let text = serde_json::to_string_pretty(&comparison.json())? + "\n";
         outputs.file(path, text.as_bytes())?;
     }
+    check_warnings()?;
     outputs.commit(None)
 }
 

@@ -38,8 +38,7 @@ impl Args {
             session.tell_found(what, found);
         }
         for note in &capture.notes {
-            session.progress.say(note);
-            session.receipt.warning(note);
+            session.warn(note);
         }
         let filter = FrameFilter { sharpness_share: self.blur_share, ..FrameFilter::default() };
         let report = judge_frames(&capture.frames, &filter).context("--blur-share")?;
@@ -68,7 +67,7 @@ impl Args {
         let judged = capture.cameras.iter().zip(&report.frames).filter(|(_, frame)| frame.kept);
         let cameras: Vec<Camera> = judged.map(|(&i, _)| set.cameras[i].clone()).collect();
         if cameras.is_empty() {
-            session.receipt.warning("no frame is kept: cameras.json is not written");
+            session.warn("no frame is kept: cameras.json is not written");
         } else {
             session.write("cameras.json", |path| write_cameras_json(&cameras, path))?;
         }

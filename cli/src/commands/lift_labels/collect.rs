@@ -57,7 +57,7 @@ impl Args {
         if without_feature > 0 {
             let text =
                 format!("{without_feature} segments have a feature of zeros: they label nothing");
-            session.receipt.warning(text);
+            session.warn(text);
         }
         session.progress.say(format!(
             "{} segments, {} weights ({} on disk), {:.1} % of the weight is in segments",

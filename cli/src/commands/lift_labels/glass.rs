@@ -64,7 +64,7 @@ impl Args {
         if decision.on && panes.is_none() {
             let text =
                 format!("no pane was found, labels are lifted in one layer: {}", decision.why);
-            session.receipt.warning(text);
+            session.warn(text);
         }
         Ok(Glass { decision, panes })
     }

@@ -38,7 +38,7 @@ impl Args {
         session.progress.say(&text);
         if let Some(frame) = matches.without_camera.first() {
             let count = matches.without_camera.len();
-            session.receipt.warning(format!("{count} frames have no camera ({frame}, …)"));
+            session.warn(format!("{count} frames have no camera ({frame}, …)"));
         }
         session.tell_found("map of segments", &matches.found);
         session.receipt.setting("pictures", matches.num_matched(), "cameras with segments");

@@ -12,7 +12,7 @@ use std::path::Path;
 /// Flags that are about all scenes, or change no result.
 const ABOUT_ALL: [&str; 4] = ["manifest", "shard", "again", "out"];
 /// Flags that change no result.
-const WITHOUT_EFFECT: [&str; 2] = ["threads", "quiet"];
+const WITHOUT_EFFECT: [&str; 3] = ["threads", "quiet", "warnings-as-errors"];
 /// Flags that name one file for the results of one scene.
 const ONE_FILE: [(&str, &str); 2] = [("json", "figures"), ("receipt", "receipt")];
 

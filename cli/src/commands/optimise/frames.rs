@@ -73,8 +73,7 @@ impl Args {
             session.tell_found(what, found);
         }
         for note in &capture.notes {
-            session.progress.say(note);
-            session.receipt.warning(note);
+            session.warn(note);
         }
         let (mut train, mut test) = (Vec::new(), Vec::new());
         let every = self.test_every;

@@ -157,8 +157,7 @@ impl Args {
         session.progress.say(&text);
         if share < self.min_valid {
             let text = format!("{text}, fewer than --min-valid {}: left out", self.min_valid);
-            session.receipt.warning(&text);
-            session.progress.say(text);
+            session.warn(text);
             (scene.lang_feat, scene.valid_feat_mask) = (None, None);
         }
     }

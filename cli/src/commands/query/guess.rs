@@ -33,8 +33,7 @@ pub fn guessed(
         "APPROXIMATE: {text:?} is not in --text; its vector is guessed by the {} names that are ({how})",
         table.len()
     );
-    session.progress.say(format!("*** {about} ***"));
     session.receipt.setting("guessed", text, &how);
-    session.receipt.warning(about);
+    session.warn_loudly(about);
     Ok(guess.query)
 }

@@ -2,9 +2,10 @@
 
 mod ranks;
 
+use crate::error::{Saved, refuse};
 use crate::flags::Running;
 use crate::progress::{interrupted, listen_for_interrupt};
-use crate::terminal::print;
+use crate::terminal::{note_warning, print};
 use crate::threads::set_threads;
 use anyhow::{Context, Result, anyhow};
 use scenesplat::experiment::{
@@ -24,9 +25,12 @@ use std::time::Duration;
 /// and started by mpirun or srun, the ranks share the batches of each step (docs/training.md).
 #[derive(Debug, clap::Args)]
 pub struct Args {
-    /// The experiment: data, network, losses, optimizer (see configs/).
+    /// The experiment: data, network, losses, optimizer (see configs/). With --resume, the folder of a run will do.
     #[arg(value_name = "CONFIG.toml")]
     pub config: PathBuf,
+    /// Changes a setting of the file: `optimizer.lr=1e-3`, `train.0.repeat=4`, `precision=bf16`; may be given several times.
+    #[arg(long = "set", value_name = "KEY=VALUE")]
+    pub changes: Vec<String>,
     /// Folder of the run. [default: runs/ and the name of the file]
     #[arg(long, value_name = "DIR")]
     pub out: Option<PathBuf>,
@@ -51,9 +55,29 @@ pub struct Args {
     pub check: bool,
 }
 
+impl Args {
+    /// The file of the experiment, and the folder of the run.
+    fn file_and_folder(&self) -> Result<(PathBuf, PathBuf)> {
+        if self.config.is_dir() {
+            let file = self.config.join("config.toml");
+            if !(self.resume || self.resume_if_there || self.check) || self.out.is_some() {
+                refuse!(
+                    "{}: a folder is a run to go on with: give --resume and no --out, or a file",
+                    self.config.display()
+                );
+            }
+            return Ok((file, self.config.clone()));
+        }
+        let name = self.config.file_stem().unwrap_or_default();
+        let out = self.out.clone().unwrap_or_else(|| PathBuf::from("runs").join(name));
+        Ok((self.config.clone(), out))
+    }
+}
+
 /// Runs the command.
 pub fn run(args: &Args) -> Result<()> {
-    let mut config = ExperimentConfig::read(&args.config)?;
+    let (file, out) = args.file_and_folder()?;
+    let mut config = ExperimentConfig::read_changed(&file, &args.changes)?;
     if let Some(seed) = args.seed {
         config.set_seed(seed);
     }
@@ -68,8 +92,6 @@ pub fn run(args: &Args) -> Result<()> {
     } else if args.device != DeviceChoice::Cpu {
         print(&format!("device: {} ({})", args.device, device.name));
     }
-    let name = args.config.file_stem().unwrap_or_default();
-    let out = args.out.clone().unwrap_or_else(|| PathBuf::from("runs").join(name));
     let there = || newest_checkpoint(&out.join("checkpoints"));
     let resume = args.resume || (args.resume_if_there && there()?.is_some());
     listen_for_interrupt()?;
@@ -107,16 +129,18 @@ pub fn run(args: &Args) -> Result<()> {
     if ranks.rank() == 0 {
         tell(&report);
     }
-    Ok(())
+    // Early stopping is an end like any other.
+    let is_whole = report.progress.step >= report.progress.total_steps;
+    if is_whole || !interrupted() { Ok(()) } else { Err(Saved.into()) }
 }
 
 /// Prints what came of the training.
 fn tell(report: &RunReport) {
-    for remark in &report.remarks {
-        print(remark);
-    }
-    for fallback in scenesplat::kernels::fallbacks::take() {
-        print(&scenesplat::device::on_the_cpu(&fallback));
+    let fallbacks = scenesplat::kernels::fallbacks::take();
+    let fallbacks = fallbacks.iter().map(scenesplat::device::on_the_cpu);
+    for warning in report.remarks.iter().cloned().chain(fallbacks) {
+        note_warning(&warning);
+        print(&warning);
     }
     let at = report.progress;
     print(&format!("weights: {}", report.model.display()));

@@ -125,3 +125,25 @@ impl Look {
         })
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::Colors;
+    use crate::frame::tests::{frame, view};
+
+    #[test]
+    fn exposure_spread_is_the_deviation_of_mean_brightness() {
+        let gray = |value: u8| {
+            let mut frame = frame(view(16, 12), None);
+            frame.rgb = Colors::Bytes(vec![value; 3 * 16 * 12]);
+            frame
+        };
+        // A half, one and one and a half times the mean; a black frame has no exposure.
+        let frames = [gray(50), gray(100), gray(150), gray(0)];
+        let report = judge_frames(&frames, &FrameFilter::default()).unwrap();
+        let want = (0.5f64 / 3.0).sqrt();
+        assert!((report.exposure_spread - want).abs() < 1e-3, "{} {want}", report.exposure_spread);
+        assert_eq!(report.black, 1);
+    }
+}
