@@ -296,10 +296,10 @@ mod tests {
     }
 
     #[test]
-    fn the_first_instance_has_number_0() {
-        let scene = scene_of(&[2, 2, 1], &[0, 0, 1]);
+    fn the_first_instance_and_the_first_class_have_number_0() {
+        let scene = scene_of(&[0, 0, 1], &[0, 0, 1]);
         let found = objects(&[scene]).unwrap().unwrap();
-        assert_eq!(found.labels, [2, 1]);
+        assert_eq!(found.labels, [0, 1]);
     }
 
     #[test]
