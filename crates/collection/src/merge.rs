@@ -203,3 +203,55 @@ impl Sets {
         self.pixels[to] += self.pixels[from];
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::surface::Surface;
+
+    /// A ridge along the middle column: what is left of it looks to the left, what is right of it to the right.
+    fn ridge(width: usize, height: usize) -> Pixels {
+        let side = |at: usize| if at % width < width / 2 { -1.0f32 } else { 1.0 };
+        let points = (0..width * height)
+            .map(|at| Vec3::new((at % width) as f32 * 0.001, (at / width) as f32 * 0.001, 2.0));
+        let normals =
+            (0..width * height).map(|at| Vec3::new(0.2 * side(at), 0.0, -1.0).normalize());
+        let surface = Surface { points: points.collect(), normals: normals.collect() };
+        Pixels { width, height, lab: vec![Vec3::ZERO; width * height], surface }
+    }
+
+    #[test]
+    fn a_crease_counts_the_same_however_long_its_border_is() {
+        let of = |height: usize| {
+            let pixels = ridge(8, height);
+            let parts: Vec<u32> = (0..8 * height).map(|at| u32::from(at % 8 >= 4)).collect();
+            let edges = edges(&pixels, &parts, 2);
+            assert_eq!((edges.len(), edges[0].a, edges[0].b), (1, 0, 1));
+            edges[0].difference
+        };
+        let want = 2.0 * 0.2 / (1.0f32 + 0.04).sqrt() / 0.4;
+        assert!((of(1) - want).abs() < 1e-2, "{} {want}", of(1));
+        assert!((of(1) - of(12)).abs() < 1e-4, "{} {}", of(1), of(12));
+    }
+
+    #[test]
+    fn normals_are_looked_up_in_the_picture_whatever_its_sides() {
+        // From column 4 away from column 3: column 7, or the last; upward the first row.
+        for (width, height) in [(9, 5), (5, 9)] {
+            let pixels = Pixels {
+                width,
+                height,
+                lab: vec![Vec3::ZERO; width * height],
+                surface: Surface {
+                    points: vec![Vec3::Z; width * height],
+                    normals: (0..width * height).map(|at| Vec3::X * at as f32).collect(),
+                },
+            };
+            let at = |x: usize, y: usize| y * width + x;
+            let seen = |p: usize, q: usize| beyond(&pixels, p, q).x as usize;
+            assert_eq!(seen(at(4, 2), at(3, 2)), at(7.min(width - 1), 2));
+            assert_eq!(seen(at(1, 4), at(1, 3)), at(1, 7.min(height - 1)));
+            assert_eq!(seen(at(1, 1), at(1, 2)), at(1, 0));
+        }
+    }
+}

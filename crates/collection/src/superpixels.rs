@@ -323,4 +323,25 @@ mod tests {
             assert!(error.contains(part), "{error}");
         }
     }
+
+    #[test]
+    fn steps_are_parts_of_the_depth() {
+        let off_plane = |depth: f32| {
+            let point = Vec3::new(0.0, 0.0, 1.01 * depth);
+            let surface = Surface { points: vec![point], normals: vec![Vec3::NEG_Z] };
+            let pixels = Pixels { width: 1, height: 1, lab: vec![Vec3::ZERO], surface };
+            let center = Center {
+                x: 0.0,
+                y: 0.0,
+                lab: Vec3::ZERO,
+                point: Vec3::new(0.0, 0.0, depth),
+                normal: Vec3::NEG_Z,
+            };
+            distance(&pixels, 0, &center, 1.0)
+        };
+        // A hundredth of the depth is half of what counts as 1, near or far.
+        for depth in [0.5, 1.0, 4.0] {
+            assert!((off_plane(depth) - 0.25).abs() < 1e-3, "{depth}: {}", off_plane(depth));
+        }
+    }
 }

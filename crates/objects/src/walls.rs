@@ -165,4 +165,18 @@ mod tests {
         let wall: Vec<u32> = (0..1000).collect();
         assert_eq!(split(&wall, &room(0.2), true), None, "one wall");
     }
+
+    #[test]
+    fn strays_beside_the_walls_change_nothing() {
+        let with = |strays: usize| {
+            let mut coord = room(0.0);
+            // Apart from each other and from the walls, so that none is a line.
+            let at =
+                |i: usize| [0.6 + 0.37 * (i % 11) as f32, 0.5 + 0.41 * (i / 11 % 8) as f32, 0.0];
+            coord.extend((0..strays).map(at));
+            let rows: Vec<u32> = (0..coord.len() as u32).collect();
+            split(&rows, &coord, true).map(|parts| parts.len())
+        };
+        assert_eq!((with(0), with(6)), (Some(4), Some(4)));
+    }
 }

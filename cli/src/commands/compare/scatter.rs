@@ -14,6 +14,8 @@ const BETTER: Color = [31, 119, 180];
 const WORSE: Color = [214, 85, 40];
 /// Discs with a name: those that changed most.
 const NAMED: usize = 10;
+/// Width of a letter of a name, pixels.
+const LETTER: f64 = 8.0;
 
 /// Draws classes, and scenes if there are any.
 pub(super) fn scatter(comparison: &Comparison) -> Drawing {
@@ -41,7 +43,7 @@ fn panel(d: &mut Drawing, left: f64, title: &str, rows: &[Row]) {
     }
     d.dashes([left, bottom], [right, TOP], INK);
     d.text([left, TOP - 34.0], 2, INK, Anchor::Start, title);
-    d.text([right, bottom + 26.0], 2, INK, Anchor::End, "a (first)");
+    d.text([right, bottom + 26.0], 1, INK, Anchor::End, "a (first)");
     d.text([left, TOP - 12.0], 1, INK, Anchor::Start, "b (second); above the line: better in b");
     let most = rows.iter().map(|row| row.labelled).max().unwrap_or(1).max(1) as f64;
     let mut placed: Vec<(&Row, [f64; 2])> =
@@ -59,17 +61,21 @@ fn panel(d: &mut Drawing, left: f64, title: &str, rows: &[Row]) {
     });
     let mut taken: Vec<[f64; 2]> = Vec::new();
     for (row, at) in placed.iter().take(NAMED) {
-        // Beside its disc, and not on the name of another.
-        let anchor = if at[0] > right - 140.0 { Anchor::End } else { Anchor::Start };
-        let aside = if anchor == Anchor::End { -12.0 } else { 12.0 };
-        let mut place = [at[0] + aside, at[1] - 8.0];
-        while taken
-            .iter()
-            .any(|t| (t[0] - place[0]).abs() < 110.0 && (t[1] - place[1]).abs() < 13.0)
-        {
-            place[1] += 13.0;
-        }
+        // Right of its disc or left of it, where no other name stands; a line leads there.
+        let length = LETTER * row.name.chars().count() as f64;
+        let free = |[x, y]: &[f64; 2]| {
+            let inside = *x > left && x + length < right && *y > TOP && *y < bottom;
+            let apart = |t: &[f64; 2]| (t[1] - y).abs() > 13.0 || (t[0] - x).abs() > 120.0;
+            inside && taken.iter().all(apart)
+        };
+        let beside = (0..12).flat_map(|step| {
+            let down = 14.0 * f64::from(step) - 20.0;
+            [[at[0] + 26.0, at[1] + down], [at[0] - 26.0 - length, at[1] + down]]
+        });
+        let Some(place) = beside.into_iter().find(free) else { continue };
         taken.push(place);
-        d.text(place, 1, INK, anchor, &row.name);
+        let edge = if place[0] > at[0] { place[0] - 3.0 } else { place[0] + length + 3.0 };
+        d.line(*at, [edge, place[1] + 4.0], 1.0, INK);
+        d.text(place, 1, INK, Anchor::Start, &row.name);
     }
 }
