@@ -250,3 +250,27 @@ fn termination_of_a_training_saves_it() {
     assert!(!stderr(&output).contains("error"), "{}", stderr(&output));
     assert!(fs::read_dir(folder.path("run/checkpoints")).unwrap().count() > 0);
 }
+
+#[test]
+fn warnings_are_never_quiet_and_may_be_errors() {
+    let (folder, scene) = folder_with_room("in.ply");
+    let (out, path) = (folder.at("out"), folder.path("out"));
+    let warning = "SEEDED WEIGHTS";
+    let said = told(&features(&scene, &out, ""));
+    assert_eq!(said.matches(warning).count(), 1, "{said}");
+    assert!(said.lines().all(|line| line.starts_with("warning: ")), "{said}");
+    // Once in all, and counted in the receipt that is printed.
+    let loud = run!("features {scene} {TINY} --out {out}");
+    assert_eq!(stderr(&loud).matches(warning).count(), 1, "{}", stderr(&loud));
+    assert!(!stdout(&loud).contains(warning), "{}", stdout(&loud));
+    has(&stdout(&loud), &["told above"]);
+    let receipt = json(path.join("receipt.json"));
+    assert_eq!(receipt["warnings"].to_string().matches(warning).count(), 1);
+    fs::remove_dir_all(&path).unwrap();
+    let strict = features(&scene, &out, "--warnings-as-errors");
+    refused(&strict, 1, &["error: --warnings-as-errors: ", warning]);
+    assert!(!path.join("features.npy").exists(), "nothing is written");
+    // Before the command, too, and of one that warns of nothing.
+    let copy = folder.at("copy.ply");
+    done(&run!("--warnings-as-errors convert {scene} {copy} --quiet"));
+}

@@ -68,30 +68,3 @@ fn other_networks_have_no_strangeness() {
     has(&text(folder.path("out/receipt.json")), &["not judged"]);
     refused(&segment("--setting codes=16 --strange unknown"), 2, &["do not tell"]);
 }
-
-#[test]
-fn warnings_are_never_quiet_and_may_be_errors() {
-    let folder = Folder::new();
-    let (heap, out) = (folder.scene("heap.ply", &heap()), folder.at("out"));
-    let segment = |more: &str| run!("segment {heap} --out {out} {more}");
-    let warning = "looks like nothing";
-    let said = told(&segment("--quiet"));
-    assert_eq!(said.matches(warning).count(), 1, "{said}");
-    assert!(said.lines().all(|line| line.starts_with("warning: ")), "{said}");
-    // Once in all, and counted in the receipt that is printed.
-    let loud = segment("");
-    assert_eq!(stderr(&loud).matches(warning).count(), 1, "{}", stderr(&loud));
-    assert!(!stdout(&loud).contains(warning) && stdout(&loud).contains("told above"));
-    assert_eq!(
-        json(folder.path("out/receipt.json"))["warnings"].to_string().matches(warning).count(),
-        1
-    );
-    std::fs::remove_dir_all(folder.path("out")).unwrap();
-    for line in ["--warnings-as-errors", "--quiet --warnings-as-errors"] {
-        refused(&segment(line), 1, &["error: --warnings-as-errors: ", warning]);
-        assert!(!folder.path("out/labels.npy").exists(), "nothing is written");
-    }
-    // Before the command, too, and of one that warned of nothing.
-    let room = folder.scene("room.ply", &plain_room());
-    done(&run!("--warnings-as-errors segment {room} --out {out} --quiet"));
-}
