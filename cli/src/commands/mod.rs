@@ -47,7 +47,7 @@ use std::ffi::OsString;
 struct Cli {
     #[command(subcommand)]
     command: Command,
-    /// Fails where there is a warning; nothing is written then.
+    /// Fails where there is a warning; no results are put in place then.
     #[arg(long, global = true)]
     warnings_as_errors: bool,
 }

@@ -1,31 +1,18 @@
 //! Two evaluations: by class and by scene.
 
+use crate::commands::evaluate::{EVALUATION, Written};
 use anyhow::{Context, Result, bail};
 use rand::Rng;
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::SeedableRng;
-use scenesplat::evaluation::EvaluationReport;
 use scenesplat::metrics::TesterReport;
-use scenesplat::scene::input_file::read_text_file;
-use serde::Deserialize;
 use serde_json::{Value, json};
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
-const FILE: &str = "evaluation.json";
 /// Draws of scenes for the bounds of a change.
 const DRAWS: usize = 1000;
 const SEED: u64 = 0xC0_4A_4E;
-
-/// What is read of an `evaluation.json`.
-#[derive(Deserialize)]
-struct File {
-    counts: EvaluationReport,
-    classes: Vec<String>,
-    excluded: Value,
-    vote_k: Value,
-    meaningless: bool,
-}
 
 /// The evaluations of one side.
 struct Side {
@@ -65,8 +52,8 @@ pub(super) fn find(a: &Path, b: &Path) -> Result<Option<Comparison>> {
     match (files(a)?, files(b)?) {
         (None, None) => Ok(None),
         (Some(in_a), Some(in_b)) => compare(&side(in_a)?, &side(in_b)?, [a, b]).map(Some),
-        (Some(_), None) => bail!("{}: holds no {FILE}, as {} does", b.display(), a.display()),
-        (None, Some(_)) => bail!("{}: holds no {FILE}, as {} does", a.display(), b.display()),
+        (Some(_), None) => bail!("{}: holds no {EVALUATION}, as {} does", b.display(), a.display()),
+        (None, Some(_)) => bail!("{}: holds no {EVALUATION}, as {} does", a.display(), b.display()),
     }
 }
 
@@ -85,11 +72,11 @@ fn files(path: &Path) -> Result<Option<Files>> {
     if !path.is_dir() {
         return Ok(None);
     }
-    let whole = Some(path.join(FILE)).filter(|file| file.is_file());
+    let whole = Some(path.join(EVALUATION)).filter(|file| file.is_file());
     let mut scenes = BTreeMap::new();
     for entry in std::fs::read_dir(path).with_context(|| path.display().to_string())? {
         let entry = entry.with_context(|| path.display().to_string())?;
-        let file = entry.path().join(FILE);
+        let file = entry.path().join(EVALUATION);
         if file.is_file() {
             scenes.insert(entry.file_name().to_string_lossy().into_owned(), file);
         }
@@ -97,10 +84,8 @@ fn files(path: &Path) -> Result<Option<Files>> {
     Ok((whole.is_some() || !scenes.is_empty()).then_some(Files { whole, scenes }))
 }
 
-fn read(path: &Path) -> Result<(File, TesterReport)> {
-    let text = read_text_file(path)?;
-    let file: File = serde_json::from_str(&text)
-        .with_context(|| format!("{}: no evaluation of this program", path.display()))?;
+fn read(path: &Path) -> Result<(Written, TesterReport)> {
+    let file = Written::read(path)?;
     let scored = file.counts.model.clone().with_context(|| {
         format!("{}: no labels were scored, only those that scenes carry", path.display())
     })?;
@@ -116,7 +101,7 @@ fn read(path: &Path) -> Result<(File, TesterReport)> {
 }
 
 fn side(files: Files) -> Result<Side> {
-    let mut first: Option<(PathBuf, File)> = None;
+    let mut first: Option<(PathBuf, Written)> = None;
     let mut scenes = BTreeMap::new();
     let mut whole = None;
     let mut meaningless = false;
@@ -138,7 +123,7 @@ fn side(files: Files) -> Result<Side> {
             None => whole = Some(scored),
         }
     }
-    let (_, File { classes, excluded, vote_k, .. }) = first.context("no evaluation")?;
+    let (_, Written { classes, excluded, vote_k, .. }) = first.context("no evaluation")?;
     let whole = whole.or_else(|| TesterReport::sum(scenes.values()));
     let whole = whole.context("the evaluations of the scenes cannot be added up")?;
     Ok(Side { classes, excluded, vote_k, meaningless, whole, scenes })

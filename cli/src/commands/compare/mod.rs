@@ -125,8 +125,9 @@ fn tell(args: &Args, comparison: &Comparison, outputs: &Outputs) -> Result<()> {
         refuse!("--metrics and --lpips-weights are for pictures, not for evaluations");
     }
     print(&comparison.table());
+    let progress = Progress::new(args.quiet);
     for remark in &comparison.remarks {
-        Progress::new(args.quiet).warn(remark);
+        progress.warn(remark);
     }
     if let Some(path) = &args.picture {
         outputs.file(path, &scatter::scatter(comparison).to_picture().encode_png()?)?;

@@ -10,7 +10,7 @@ use crate::session::{FeatureSource, Session};
 use crate::surfaces::Asked;
 use anyhow::{Result, anyhow};
 pub use args::Args;
-pub use report::tell as tell_report;
+pub use report::{EVALUATION, Written, tell as tell_report};
 pub use scenes::{KINDS, one_by_one};
 use scenesplat::evaluation::{Evaluation, EvaluationError, Restraint, other_ids};
 use scenesplat::outputs::OpenedScene;
@@ -33,7 +33,7 @@ pub fn run(args: &Args, line: &str) -> Result<()> {
     let class_of = args.classes_of_labels(&text.names)?;
     let names_of_labels = class_of.as_ref().map(Vec::len);
     let mut evaluation = Evaluation::new(&text, settings)?;
-    session.outputs.open_folder(&["evaluation.json"])?;
+    session.outputs.open_folder(&[EVALUATION])?;
     args.classes.record(&session)?;
     session.receipt.setting("vote_k", vote_k, "neighbors that vote on each label");
     let names: Vec<&str> = excluded.iter().map(|&c| text.names[c].as_str()).collect();

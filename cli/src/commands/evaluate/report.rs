@@ -2,12 +2,44 @@
 
 use crate::session::Session;
 use crate::terminal::print;
-use anyhow::Result;
+use anyhow::{Context, Result};
 use scenesplat::evaluation::{EvaluationReport, OtherIds};
 use scenesplat::metrics::{OracleReport, TesterReport};
+use scenesplat::scene::input_file::read_text_file;
+use serde::Deserialize;
 use serde_json::{Value, json};
 use std::path::Path;
 use std::time::Instant;
+
+/// Name of the file with the figures.
+pub const EVALUATION: &str = "evaluation.json";
+
+/// What is read of an evaluation that was written before.
+#[derive(Deserialize)]
+pub struct Written {
+    /// The counts behind every figure.
+    pub counts: EvaluationReport,
+    /// Names of the classes.
+    pub classes: Vec<String>,
+    /// Classes that are left out of f-mIoU.
+    pub excluded: Value,
+    /// Neighbors that voted.
+    pub vote_k: Value,
+    /// Whether the labels come from seeded weights.
+    pub meaningless: bool,
+}
+
+impl Written {
+    /// Reads a file.
+    ///
+    /// # Errors
+    /// If it cannot be read, or is no evaluation.
+    pub fn read(path: &Path) -> Result<Self> {
+        let text = read_text_file(path)?;
+        serde_json::from_str(&text)
+            .with_context(|| format!("{}: no evaluation of this program", path.display()))
+    }
+}
 
 /// Says what the oracle found in a scene.
 pub fn tell_oracle(session: &Session<'_>, names: &[String], report: &OracleReport, path: &Path) {
@@ -87,7 +119,7 @@ pub fn write(
     elsewhere: Option<&Path>,
 ) -> Result<()> {
     let text = serde_json::to_string_pretty(&json)?;
-    session.write_text("evaluation.json", &text)?;
+    session.write_text(EVALUATION, &text)?;
     match elsewhere {
         Some(path) => {
             json["seconds"] = json!(began.elapsed().as_secs_f64());

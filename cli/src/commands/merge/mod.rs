@@ -4,6 +4,7 @@ mod gaps;
 mod scores;
 mod table;
 
+use super::evaluate::EVALUATION;
 use super::many::{Manifest, Record, read_record};
 use crate::error::refuse;
 use crate::flags::Shared;
@@ -30,7 +31,6 @@ pub struct Args {
 
 /// What it writes.
 const FILES: [&str; 3] = ["merged.json", "merged.md", "costs.json"];
-const EVALUATION: &str = "evaluation.json";
 
 /// Runs the command.
 pub fn run(args: &Args, line: &str) -> Result<()> {

@@ -1,35 +1,21 @@
 //! The figures of `evaluate` over all scenes.
 
-use crate::commands::evaluate::tell_report;
+use crate::commands::evaluate::{EVALUATION, Written, tell_report};
 use crate::commands::many::Record;
 use anyhow::{Context, Result, bail};
 use scenesplat::evaluation::EvaluationReport;
-use scenesplat::scene::input_file::read_text_file;
-use serde::Deserialize;
 use serde_json::{Value, json};
 use std::path::Path;
-
-/// What is read of the evaluation of a scene.
-#[derive(Deserialize)]
-struct Part {
-    counts: EvaluationReport,
-    classes: Vec<String>,
-    excluded: Value,
-    vote_k: Value,
-    meaningless: bool,
-}
 
 /// Prints and gives what `evaluate` would say of all scenes at once, but for its time.
 ///
 /// # Errors
 /// If a part cannot be read, or is about other classes.
 pub fn total(folder: &Path, records: &[Record]) -> Result<Value> {
-    let mut parts: Vec<Part> = Vec::with_capacity(records.len());
+    let mut parts: Vec<Written> = Vec::with_capacity(records.len());
     for record in records {
-        let path = folder.join(&record.name).join(super::EVALUATION);
-        let text = read_text_file(&path)?;
-        let part: Part = serde_json::from_str(&text)
-            .with_context(|| format!("{}: no evaluation of this program", path.display()))?;
+        let path = folder.join(&record.name).join(EVALUATION);
+        let part = Written::read(&path)?;
         if let Some(first) = parts.first()
             && (first.classes != part.classes
                 || first.excluded != part.excluded
