@@ -138,7 +138,7 @@ pub fn run(args: impl IntoIterator<Item = OsString>) -> u8 {
         }
         Err(e) => {
             terminal::print_usage(&e);
-            if e.kind() == ErrorKind::UnknownArgument && args.iter().skip(1).any(|a| a == "train") {
+            if e.kind() == ErrorKind::UnknownArgument && args.get(1).is_some_and(|a| a == "train") {
                 let tip = "tip: settings of the file are changed as in --set trainer.epochs=3";
                 terminal::tell_line(tip);
             }

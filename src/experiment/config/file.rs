@@ -79,7 +79,7 @@ pub(super) fn set(table: &mut toml::Table, change: &str) -> Result<()> {
         return Err(wrong(format!("{path:?} is no path of a setting")));
     }
     let mut at = table;
-    let mut keys = parents.into_iter().flat_map(|parents| parents.split('.')).peekable();
+    let mut keys = parents.into_iter().flat_map(|parents| parents.split('.'));
     while let Some(key) = keys.next() {
         let entry = at.entry(key).or_insert_with(|| toml::Value::Table(toml::Table::new()));
         at = match entry {
