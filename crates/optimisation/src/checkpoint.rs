@@ -311,3 +311,53 @@ impl Arrays<'_> {
         Model::from_arrays(&rows, self.read("sh", None)?, settings.initial.sh_degree)
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::frame::tests::{frame, view};
+
+    fn given() -> TrainingFrame {
+        let mut frame = frame(view(16, 12), Some(1.0));
+        (frame.mask, frame.alpha) = (Some(vec![1; 16 * 12]), Some(vec![255; 16 * 12]));
+        frame
+    }
+
+    #[test]
+    fn a_frame_of_which_anything_changed_is_another() {
+        let mark = FrameMark::of(&given());
+        let changed = |set: &dyn Fn(&mut TrainingFrame)| {
+            let mut frame = given();
+            set(&mut frame);
+            FrameMark::of(&frame) != mark
+        };
+        assert!(!changed(&|_| ()));
+        assert!(changed(&|f| f.name.push('b')));
+        assert!(changed(&|f| f.view.world_to_camera[2][3] += 0.1));
+        assert!(changed(&|f| f.view.cy += 1.0));
+        assert!(changed(&|f| f.rgb = Colors::Bytes(vec![1; 3 * 16 * 12])));
+        assert!(changed(&|f| f.depth = Some(vec![2.0; 16 * 12])));
+        assert!(changed(&|f| f.mask = Some(vec![0; 16 * 12])));
+        assert!(changed(&|f| f.alpha = Some(vec![0; 16 * 12])));
+    }
+
+    #[test]
+    fn every_count_is_its_own_after_a_resume() {
+        let settings = OptimiseSettings { exposure: true, ..OptimiseSettings::scenesplat() };
+        let points = [[0.0; 3], [0.1, 0.0, 0.0], [0.0, 0.1, 0.0], [0.0, 0.0, 0.1]];
+        let model =
+            crate::initial::from_points(&points, &[[0.5; 3]; 4], &settings.initial, 1).unwrap();
+        let frames = [given()];
+        let mut made = Optimiser::new(model, &frames, settings).unwrap();
+        (made.step, made.adam.steps, made.scene_scale) = (7, 5, 2.5);
+        made.exposure.steps = vec![3];
+        made.adam.quats.second[2] = 4.0;
+        let folder = tempfile::tempdir().unwrap();
+        let path = made.save(folder.path(), &frames, 1).unwrap();
+        let found = Optimiser::resume(&path, &frames, Some(settings)).unwrap();
+        assert_eq!((found.step, found.adam.steps, found.scene_scale), (7, 5, 2.5));
+        assert_eq!(found.exposure.steps, [3]);
+        assert_eq!(found.adam.quats.second[2], 4.0);
+        assert_eq!(found.model(), made.model());
+    }
+}

@@ -143,4 +143,19 @@ mod tests {
         assert!(minute.half_steps == minute.steps && minute.steps < 5000, "{text}");
         minute.check().unwrap();
     }
+
+    #[test]
+    fn a_gaussian_costs_at_least_what_is_stored_of_it() {
+        let settings = OptimiseSettings::scenesplat();
+        let harmonics = 3 * (u64::from(settings.initial.sh_degree) + 1).pow(2);
+        // Place, rotation, sizes, opacity and harmonics: value, two moments, derivative, of four bytes each; twice while
+        // rows are added.
+        let each = (3 + 4 + 3 + 1 + harmonics) * 4 * 4 * 2;
+        let more = memory_of(&settings, 2000, &[]) - memory_of(&settings, 1000, &[]);
+        assert!((1000 * each..4000 * each).contains(&more), "{more} {each}");
+        // And a frame at least its pixels.
+        let frame = crate::frame::tests::frame(crate::frame::tests::view(64, 48), Some(1.0));
+        let pictures = memory_of(&settings, 0, std::slice::from_ref(&frame));
+        assert!(pictures >= 64 * 48 * (3 + 4), "{pictures}");
+    }
 }

@@ -143,4 +143,13 @@ mod tests {
         assert_eq!(gradient, [0.0; 4]);
         assert_eq!(run(&[], &[], None).0, DepthLoss::default());
     }
+
+    /// Errors 1, 2, 25: the median of three is 2. What is infinite was not measured, however many there are.
+    #[test]
+    fn what_is_infinite_has_no_say_in_the_median() {
+        let far = f32::INFINITY;
+        let (loss, gradient) = run(&[1.0; 6], &[2.0, 3.0, 26.0, far, far, far], None);
+        assert_eq!(loss, DepthLoss { mean: 1.5, count: 2 });
+        assert_eq!(gradient, [-0.5, -0.5, 0.0, 0.0, 0.0, 0.0]);
+    }
 }

@@ -94,5 +94,12 @@ mod tests {
         exposure.learn(1, &[0.5; 6], &mut slope, 0.01);
         // The gain with which the picture was made, not the one after the step.
         assert_eq!(slope, [2.0, -3.0, 2.0, 0.0, 6.0, 0.5]);
+        // An offset has the slopes as they came, 1, 1 and 5, a gain those times the picture, and both are pulled back to
+        // where they rest. The first moment is a tenth of it.
+        let pulled = |gain: f32| 0.5 + PULL * (gain - 1.0);
+        let want = [pulled(2.0), pulled(3.0), 2.0 + pulled(0.5), 1.0, 1.0, 5.0];
+        for (moment, want) in exposure.moments[1].first.iter().zip(want) {
+            assert!((moment - 0.1 * want).abs() < 1e-6, "{:?}", exposure.moments[1].first);
+        }
     }
 }

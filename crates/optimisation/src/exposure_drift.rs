@@ -252,6 +252,16 @@ mod tests {
     }
 
     #[test]
+    fn a_point_before_what_was_measured_there_is_not_seen() {
+        let mut frame = frames(&[[1.0; 3]]).remove(0);
+        let point = [0.1, 0.1, 1.0];
+        for (depth, seen) in [(3.0, true), (9.0, false), (1.0, false)] {
+            frame.depth = Some(vec![depth; 64 * 48]);
+            assert_eq!(color_of(&frame, point).is_some(), seen, "{depth}");
+        }
+    }
+
+    #[test]
     fn balance_is_of_red_against_blue() {
         let tints: Vec<f64> = (0..9).map(|i| 0.9 + 0.05 * f64::from(i % 5)).collect();
         let made: Vec<[f64; 3]> = tints.iter().map(|t| [*t, 1.0, 1.0 / t]).collect();

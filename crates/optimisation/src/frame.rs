@@ -309,4 +309,17 @@ pub(crate) mod tests {
         assert_eq!(scale_of_cameras(&[at(10.0), at(10.0)]), 1.0);
         assert_eq!(scale_of_cameras(&[]), 1.0);
     }
+
+    #[test]
+    fn a_picture_is_put_over_a_background_once() {
+        // Colors are multiplied by alpha already: 0.2 + (1 − 0.4) · 0.5.
+        let mut frame = frame(view(1, 1), None);
+        frame.rgb = Colors::Bytes(vec![51, 102, 0]);
+        frame.alpha = Some(vec![102]);
+        let mut out = Vec::new();
+        frame.put_over([0.5, 1.0, 0.0], &mut out);
+        assert!(out.iter().zip([0.5, 1.0, 0.0]).all(|(a, b)| (a - b).abs() < 1e-6), "{out:?}");
+        frame.put_over([0.0; 3], &mut out);
+        assert!(out.iter().zip([0.2, 0.4, 0.0]).all(|(a, b)| (a - b).abs() < 1e-6), "{out:?}");
+    }
 }

@@ -430,3 +430,47 @@ impl Backward<'_> {
         }
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Against differences of the loss: with and without a mask, L1 alone, SSIM alone, both.
+    #[test]
+    fn the_derivative_is_that_of_the_loss() {
+        let (width, height) = (14, 13);
+        let value = |i: usize, by: f32| (0.5 + 0.3 * (i as f32 * by).sin()).clamp(0.05, 0.95);
+        let truth: Vec<f32> = (0..3 * width * height).map(|i| value(i, 0.7)).collect();
+        let mut pred: Vec<f32> = (0..3 * width * height).map(|i| value(i, 0.37)).collect();
+        let mask: Vec<u8> = (0..width * height).map(|i| u8::from(i % 5 != 0)).collect();
+        for share in [0.0, 0.2, 1.0] {
+            for mask in [None, Some(&mask[..])] {
+                let weights =
+                    ImageWeights { ssim: share, ..crate::OptimiseSettings::scenesplat().image() };
+                let mut comparison = ImageComparison::new(width, height, weights).unwrap();
+                let mut gradient = vec![0.0; pred.len()];
+                comparison.compare(&pred, &truth, mask, &mut gradient).unwrap();
+                for at in [0, 7, 100, 301, 3 * width * height - 1] {
+                    let (kept, step) = (pred[at], 2e-3);
+                    let mut loss = |v: f32| {
+                        pred[at] = v;
+                        comparison
+                            .compare(&pred, &truth, mask, &mut vec![0.0; truth.len()])
+                            .unwrap()
+                            .loss
+                    };
+                    let want = (f64::from(loss(kept + step)) - f64::from(loss(kept - step)))
+                        / (2.0 * f64::from(step));
+                    pred[at] = kept;
+                    let found = f64::from(gradient[at]);
+                    let most = 2e-2 * want.abs() + 2e-5;
+                    assert!(
+                        (found - want).abs() < most,
+                        "{share} {}: {at}: {found} {want}",
+                        mask.is_some()
+                    );
+                }
+            }
+        }
+    }
+}

@@ -126,6 +126,12 @@ mod tests {
         assert_eq!(neighbour_log_scales(&[[1.0; 3]], 1.0).unwrap(), [least]);
         assert_eq!(neighbour_log_scales(&[[1.0; 3]; 5], 1.0).unwrap(), [least; 5]);
         assert!(neighbour_log_scales(&[[f32::NAN; 3]], 1.0).is_err());
+        // One other, and two at distances 1 and 2: the mean is over those that there are.
+        let pair = neighbour_log_scales(&[[0.0; 3], [3.0, 0.0, 0.0]], 1.0).unwrap();
+        assert!(pair.iter().all(|s| (s - 3f32.ln()).abs() < 1e-6), "{pair:?}");
+        let three: Vec<[f32; 3]> = (0..3).map(|i| [i as f32, 0.0, 0.0]).collect();
+        let want = 2.5f32.sqrt().ln();
+        assert!((neighbour_log_scales(&three, 1.0).unwrap()[0] - want).abs() < 1e-6);
         // Distances 1, 2 and 3 along a line: mean of squares 14 / 3.
         let line: Vec<[f32; 3]> = (0..4).map(|i| [i as f32, 0.0, 0.0]).collect();
         let want = (2.0 * (14.0f64 / 3.0).sqrt()).ln() as f32;

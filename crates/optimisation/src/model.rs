@@ -229,3 +229,51 @@ pub(crate) fn retain_rows<T: Copy>(values: &mut Vec<T>, keep: &[bool], width: us
     }
     values.truncate(to * width);
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn two() -> Model {
+        let row = |k: f32| Stored {
+            mean: [k, 0.0, 0.0],
+            log_scale: [-k, -1.0, -2.0],
+            quat: [1.0, 0.0, 0.0, k],
+            logit: k,
+        };
+        let sh = (0..24).map(|v| v as f32).collect();
+        Model::from_arrays(&[row(0.0), row(1.0)], sh, 1).unwrap()
+    }
+
+    #[test]
+    fn a_copied_row_is_the_same_in_all_its_values() {
+        let mut model = two();
+        model.copy_row(1, 0);
+        assert_eq!(model.row(0), model.row(1));
+        assert_eq!(model.gaussians.sh[..12], model.gaussians.sh[12..]);
+        // What is stored says the same as what is drawn.
+        let drawn = model.clone();
+        model.activate();
+        assert_eq!(model, drawn);
+        model.push_copy(1);
+        assert_eq!((model.len(), model.row(2)), (3, model.row(1)));
+        assert_eq!(model.gaussians.sh[24..], model.gaussians.sh[12..24]);
+    }
+
+    #[test]
+    fn one_value_that_is_not_finite_is_seen_wherever_it_is() {
+        let place = |set: &dyn Fn(&mut Model)| {
+            let mut model = two();
+            set(&mut model);
+            (model.is_finite(0), model.is_finite(1))
+        };
+        assert_eq!(place(&|_| ()), (true, true));
+        assert_eq!(place(&|m| m.gaussians.means[1][2] = f32::NAN), (true, false));
+        assert_eq!(place(&|m| m.log_scales[0][1] = f32::INFINITY), (false, true));
+        assert_eq!(place(&|m| m.gaussians.quats[1][3] = f32::NAN), (true, false));
+        assert_eq!(place(&|m| m.logits[0] = f32::NEG_INFINITY), (false, true));
+        // The first and the last value of the harmonics.
+        assert_eq!(place(&|m| m.gaussians.sh[12] = f32::NAN), (true, false));
+        assert_eq!(place(&|m| m.gaussians.sh[11] = f32::NAN), (false, true));
+    }
+}

@@ -80,6 +80,10 @@ mod tests {
                 assert!((f64::from(by) - due).abs() < 1e-5 * due.abs(), "{opacity}: {by}, {due}");
             }
         }
+        // A quaternion of any length is the same rotation.
+        let unit = displacement(quat, [2.0, 0.5, 1.0], 0.0, [1.0, 1.0, -1.0], 3.0);
+        let long = displacement(quat.map(|v| 3.0 * v), [2.0, 0.5, 1.0], 0.0, [1.0, 1.0, -1.0], 3.0);
+        assert!(unit.iter().zip(long).all(|(a, b)| (a - b).abs() < 1e-5), "{unit:?} {long:?}");
         assert_eq!(displacement([0.0; 4], [1.0; 3], 0.0, [1.0; 3], 1.0), [0.0; 3]);
     }
 

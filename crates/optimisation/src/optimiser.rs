@@ -448,4 +448,79 @@ mod tests {
         // The same without what came before: a resume.
         assert_eq!(FrameOrder::default().at(5, 23, 10), epochs[2][3]);
     }
+
+    /// One Gaussian, in front of the camera (z = 0) or behind it (−5).
+    fn alone(z: f32, settings: &OptimiseSettings) -> Model {
+        let quat = [1.0, 0.0, 0.0, 0.0];
+        let stored = crate::Stored { mean: [0.0, 0.0, z], log_scale: [-1.0; 3], quat, logit: -6.0 };
+        let harmonics = 3 * (usize::from(settings.initial.sh_degree) + 1).pow(2);
+        Model::from_arrays(&[stored], vec![0.3; harmonics], settings.initial.sh_degree).unwrap()
+    }
+
+    #[test]
+    fn noise_after_adam_has_the_rate_of_the_next_step() {
+        // Few steps, so that the rate falls by a third from one to the next.
+        let settings = OptimiseSettings {
+            order: StepOrder::Gsplat16,
+            strategy: Strategy::Mcmc(crate::McmcSettings::default()),
+            steps: 10,
+            scene_scale: SceneScale::Fixed(1.0),
+            half_steps: 0,
+            ..OptimiseSettings::scenesplat()
+        };
+        let Strategy::Mcmc(mcmc) = settings.strategy else { panic!("not MCMC") };
+        // Behind the camera no picture pulls at it.
+        let frames = [crate::frame::tests::frame(view(16, 12), None)];
+        let mut optimiser = Optimiser::new(alone(-5.0, &settings), &frames, settings).unwrap();
+        optimiser.step(&frames).unwrap();
+        let strength = (settings.means_rate(1, 1.0) * mcmc.noise) as f32;
+        let g = optimiser.model().gaussians();
+        let xi = Counter::new(settings.seed, Purpose::Noise, 0).normals(0);
+        let by = crate::noise::displacement(g.quats[0], g.scales[0], g.opacities[0], xi, strength);
+        for axis in 0..2 {
+            let (found, want) = (g.means[0][axis], by[axis]);
+            assert!((found - want).abs() < 1e-5 * want.abs() && want != 0.0, "{found} {want}");
+        }
+    }
+
+    #[test]
+    fn what_pulls_on_the_picture_is_counted_once() {
+        let settings = OptimiseSettings {
+            strategy: Strategy::Default(crate::DefaultSettings::default()),
+            half_steps: 0,
+            ..OptimiseSettings::scenesplat()
+        };
+        // Off the middle, before a picture that is brighter to one side.
+        let mut frame = crate::frame::tests::frame(view(24, 20), None);
+        frame.rgb = Colors::Bytes((0..3 * 24 * 20).map(|k| (k / 3 % 24 * 10) as u8).collect());
+        let frames = [frame];
+        let mut model = alone(0.0, &settings);
+        model.set_shape(0, 0.5, [0.2; 3]);
+        let mut optimiser = Optimiser::new(model, &frames, settings).unwrap();
+        optimiser.step(&frames).unwrap();
+        let first = optimiser.doubling.sum[0];
+        assert!(first > 0.0);
+        optimiser.step(&frames).unwrap();
+        // The second pull is about as strong as the first; added up it would be twice that.
+        let second = optimiser.doubling.sum[0] - first;
+        assert!((second / first - 1.0).abs() < 0.3, "{first} {second}");
+    }
+
+    #[test]
+    fn what_is_behind_a_transparent_picture_is_exposed_like_the_drawn_background() {
+        let settings = OptimiseSettings {
+            exposure: true,
+            background: crate::Background::Fixed([0.5, 0.25, 0.75]),
+            half_steps: 0,
+            ..OptimiseSettings::scenesplat()
+        };
+        // A picture of nothing, and nothing to draw: what is behind is all there is, whatever the exposure.
+        let mut frame = crate::frame::tests::frame(view(16, 12), None);
+        frame.alpha = Some(vec![0; 16 * 12]);
+        let frames = [frame];
+        let mut optimiser = Optimiser::new(alone(-5.0, &settings), &frames, settings).unwrap();
+        optimiser.exposure.values = vec![0.8, 0.9, 0.7, 0.05, 0.0, 0.1];
+        let report = optimiser.step(&frames).unwrap();
+        assert!(report.image.l1.abs() < 1e-6, "{:?}", report.image);
+    }
 }

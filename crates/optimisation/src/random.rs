@@ -89,12 +89,19 @@ mod tests {
         let counter = Counter::new(3, Purpose::Noise, 7);
         let n = 20_000;
         let (mut sum, mut square, mut product) = (0.0, 0.0, 0.0);
+        // Of independent numbers the mean product of squares is 1, whatever pair.
+        let mut squares = [0.0; 3];
         for i in 0..n {
             let v = counter.normals(i).map(f64::from);
             sum += v.iter().sum::<f64>();
             square += v.iter().map(|v| v * v).sum::<f64>();
             product += v[0] * v[1] + v[1] * v[2] + v[2] * v[0];
+            for (k, sum) in squares.iter_mut().enumerate() {
+                *sum += (v[k] * v[(k + 1) % 3]).powi(2) / n as f64;
+            }
         }
+        // Five standard deviations: that of a product of two squares is √8.
+        assert!(squares.iter().all(|m| (m - 1.0).abs() < 0.1), "{squares:?}");
         let n = 3.0 * n as f64;
         // Four standard deviations of each.
         assert!((sum / n).abs() < 4.0 / n.sqrt());

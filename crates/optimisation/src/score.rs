@@ -256,4 +256,26 @@ mod tests {
         let want: Vec<f32> = [0.0, 1.0, 1.0, 0.0].iter().flat_map(|v| [*v; 3]).collect();
         assert!(fitted.iter().zip(&want).all(|(a, b)| (a - b).abs() < 1e-6), "{fitted:?}");
     }
+
+    #[test]
+    fn accumulated_and_expected_depth_are_scored_by_themselves() {
+        let settings = OptimiseSettings::scenesplat();
+        // Half opaque, 2 away, before a measurement of 2 in the middle of the picture.
+        let stored = crate::Stored {
+            mean: [0.0; 3],
+            log_scale: [0.0; 3],
+            quat: [1.0, 0.0, 0.0, 0.0],
+            logit: 0.0,
+        };
+        let harmonics = 3 * (usize::from(settings.initial.sh_degree) + 1).pow(2);
+        let model = Model::from_arrays(&[stored], vec![0.0; harmonics], settings.initial.sh_degree)
+            .unwrap();
+        let mut frame = crate::frame::tests::frame(crate::frame::tests::view(16, 12), Some(2.0));
+        let mut mask = vec![0; 16 * 12];
+        mask[6 * 16 + 8] = 1;
+        frame.mask = Some(mask);
+        let (score, _) = score_frame(&model, &frame, &settings, 0).unwrap();
+        let (accumulated, expected) = (score.depth_l1.unwrap(), score.depth_l1_expected.unwrap());
+        assert!((accumulated - 1.0).abs() < 0.05 && expected < 1e-3, "{accumulated} {expected}");
+    }
 }

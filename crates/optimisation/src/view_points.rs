@@ -252,4 +252,25 @@ mod tests {
         let ahead = points.iter().filter(|p| p[0] > 0.0).count();
         assert!(points.len() == 400 && (150..250).contains(&ahead), "{ahead} of {}", points.len());
     }
+
+    #[test]
+    fn the_free_ball_ends_at_the_nearest_side_of_the_picture() {
+        // The axis is off the middle: 10 pixels to the left, 54 to the right, 24 up and down.
+        let mut view = looking([0.0; 3], [0.0, 1.0, 0.0]).view;
+        view.world_to_camera = [[1., 0., 0., 0.], [0., 1., 0., 0.], [0., 0., 1., 0.]];
+        view.cx = 10.0;
+        let radius =
+            |x: f64, y: f64| free_radius(&view, axis_of(&view), DVec3::new(x, y, 1.0)).unwrap();
+        // Distances to planes through the eye: of a point at x those of pixels 0 and 64 are
+        // (64 x + 10) / √(64² + 10²) and (54 − 64 x) / √(64² + 54²).
+        for (x, y, want) in [
+            (0.5, 0.0, 22.0 / 64f64.hypot(54.0)),
+            (0.0, 0.0, 10.0 / 64f64.hypot(10.0)),
+            (0.2, 0.3, (24.0 - 64.0 * 0.3) / 64f64.hypot(24.0)),
+            (0.2, -0.3, (24.0 - 64.0 * 0.3) / 64f64.hypot(24.0)),
+        ] {
+            assert!((radius(x, y) - want).abs() < 1e-6, "{x} {y}: {} {want}", radius(x, y));
+        }
+        assert_eq!(free_radius(&view, axis_of(&view), DVec3::new(0.9, 0.0, 1.0)), None);
+    }
 }

@@ -105,4 +105,23 @@ mod tests {
         let apart = coverage(&steps).unwrap();
         assert!(apart.well_seen > 0.1 && apart.holes < 0.9, "{apart:?}");
     }
+
+    #[test]
+    fn cameras_that_turn_about_a_point_see_it() {
+        // Pictures of which one pixel is looked at; its ray goes through the middle. From places on a circle about the
+        // point, turned towards it, each sees it 3 away.
+        let turned = |angle: f32| {
+            let (sin, cos) = angle.sin_cos();
+            let mut view = view(8, 8);
+            (view.cx, view.cy) = (4.5, 4.5);
+            // Rows are the camera's axes, which are turned about y.
+            let axes = [[cos, 0.0, sin], [0.0, 1.0, 0.0], [-sin, 0.0, cos]];
+            let eye = [0, 1, 2].map(|k| [0.02, 0.02, 1.02][k] - 3.0 * axes[2][k]);
+            view.world_to_camera =
+                axes.map(|a| [a[0], a[1], a[2], -(a[0] * eye[0] + a[1] * eye[1] + a[2] * eye[2])]);
+            tests::frame(view, Some(3.0))
+        };
+        let found = coverage(&[-0.35, -0.15, 0.0, 0.15, 0.35].map(turned)).unwrap();
+        assert_eq!(found, Coverage { voxels: 1, well_seen: 1.0, holes: 0.0 });
+    }
 }

@@ -146,4 +146,14 @@ mod tests {
         assert!((report.exposure_spread - want).abs() < 1e-3, "{} {want}", report.exposure_spread);
         assert_eq!(report.black, 1);
     }
+
+    #[test]
+    fn one_channel_at_its_end_is_enough_to_be_saturated() {
+        let mut frame = frame(view(16, 12), None);
+        // A quarter of the pixels is red, another white, the others just below.
+        let pixel = |i: usize| [[255, 0, 0], [255; 3], [249; 3], [0, 249, 0]][i % 4];
+        frame.rgb = Colors::Bytes((0..16 * 12).flat_map(pixel).collect());
+        let report = judge_frames(&[frame], &FrameFilter::default()).unwrap();
+        assert!((report.saturated - 0.5).abs() < 1e-9, "{}", report.saturated);
+    }
 }

@@ -184,5 +184,9 @@ mod tests {
         let mut bad = SceneQuality { psnr: Some(f64::NAN), ..SceneQuality::default() };
         bad.decide(&Gates::default());
         assert_eq!(bad.reasons[0].gate, "psnr");
+        // A decision is about what is known now.
+        (quality.frames, quality.depth_l1, quality.not_finite) = (Some(400), Some(0.01), Some(0));
+        quality.decide(&Gates::default());
+        assert!(quality.keep && quality.reasons.is_empty(), "{:?}", quality.reasons);
     }
 }

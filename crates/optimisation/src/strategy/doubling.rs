@@ -331,4 +331,27 @@ mod tests {
         assert_eq!((&adam.opacities.first, &adam.opacities.second), (&vec![0.0; 2], &vec![0.0; 2]));
         assert!(adam.means.first.iter().all(|m| *m == 1.0));
     }
+
+    #[test]
+    fn one_refinement_ends_at_the_cap() {
+        let (mut model, mut adam) = built(&[row([0.005; 3], 0.5); 3]);
+        let mut state = DoublingState { sum: vec![1.0; 3], count: vec![1.0; 3] };
+        let settings = DefaultSettings { cap: 4, ..DefaultSettings::default() };
+        let done = settings.refine(&mut state, (&mut model, &mut adam), 1.0, 1, 600);
+        assert_eq!((done.added, model.len()), (1, 4));
+    }
+
+    #[test]
+    fn no_two_halves_have_the_same_numbers() {
+        // Three at one place, so that equal draws are equal places.
+        let (mut model, mut adam) = built(&[row([0.5; 3], 0.5); 3]);
+        let mut state = DoublingState { sum: vec![1.0; 3], count: vec![1.0; 3] };
+        let settings = DefaultSettings::default();
+        settings.refine(&mut state, (&mut model, &mut adam), 1.0, 1, 600);
+        let mut places: Vec<[u32; 3]> =
+            model.gaussians.means.iter().map(|m| m.map(f32::to_bits)).collect();
+        places.sort_unstable();
+        places.dedup();
+        assert_eq!((model.len(), places.len()), (6, 6));
+    }
 }

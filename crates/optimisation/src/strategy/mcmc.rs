@@ -217,4 +217,20 @@ mod tests {
         assert!(!settings.refine(&mut model, &mut adam, 1, NOW).is_any());
         assert_eq!(model, before);
     }
+
+    #[test]
+    fn a_new_copy_and_its_source_share_the_opacity() {
+        let (mut model, mut adam) = model(&[1.0]);
+        let settings = McmcSettings { cap: 2, few: 10, ..McmcSettings::default() };
+        assert_eq!(settings.refine(&mut model, &mut adam, 1, NOW).added, 1);
+        // Both together hide as much as the one before: 1 − (1 − o)².
+        let before = 1.0 / (1.0 + (-1.0f64).exp());
+        let want = 1.0 - (1.0 - before).sqrt();
+        for row in 0..2 {
+            let found = f64::from(model.gaussians.opacities[row]);
+            assert!((found - want).abs() < 1e-6, "{row}: {found} {want}");
+        }
+        assert_eq!(model.gaussians.scales[0], model.gaussians.scales[1]);
+        assert_eq!(model.row(0), model.row(1));
+    }
 }
