@@ -28,6 +28,7 @@ pub mod alignment;
 pub mod calibration;
 mod cholesky;
 pub mod device;
+pub mod effect_costs;
 pub mod embedded;
 pub mod evaluation;
 pub mod experiment;

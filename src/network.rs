@@ -13,7 +13,7 @@ use scenesplat_datasets::{InputFeatures, Orientation};
 use scenesplat_kernels::Precision;
 use scenesplat_kernels::grid_sample::is_grid_size;
 use scenesplat_models::convert::{Branch, ConvLayout};
-use scenesplat_models::weights::{SourceOptions, WeightSource, resolve};
+use scenesplat_models::weights::{Shapes, SourceOptions, WeightFile, WeightSource, resolve};
 use scenesplat_models::{Backbone, LoadPolicy, LoadReport, ParamStore};
 use std::path::PathBuf;
 use std::str::FromStr;
@@ -47,7 +47,7 @@ impl FromStr for Weights {
 }
 
 /// Choices in loading weights.
-#[derive(Debug, Clone, Copy, Default)]
+#[derive(Debug, Clone, Default)]
 pub struct WeightOptions {
     /// What may differ between network and file.
     pub policy: LoadPolicy,
@@ -55,12 +55,22 @@ pub struct WeightOptions {
     pub branch: Branch,
     /// How sparse convolutions are stored.
     pub conv_layout: ConvLayout,
+    /// Which language head, of weights with several: `NAME` of `projection.NAME.weight`.
+    pub head: Option<String>,
 }
 
 impl WeightOptions {
-    /// How checkpoints are read.
-    pub fn source(self) -> SourceOptions {
-        SourceOptions { branch: self.branch, conv_layout: self.conv_layout }
+    /// Opened files by the names of the network among them, with the head that was chosen.
+    ///
+    /// # Errors
+    /// As [`WeightSource::files`], [`WeightSource::unwrapped`] and [`WeightSource::with_head`].
+    pub fn source(
+        &self,
+        files: Vec<WeightFile>,
+        is_network: impl Fn(&Shapes) -> bool,
+    ) -> candle_core::Result<WeightSource> {
+        let options = SourceOptions { branch: self.branch, conv_layout: self.conv_layout };
+        WeightSource::files(files, options)?.unwrapped(is_network)?.with_head(self.head.as_deref())
     }
 }
 
@@ -134,8 +144,8 @@ impl Network {
                     .iter()
                     .map(|f| Ok((f.path().to_owned(), f.sha256()?)))
                     .collect::<Result<_, NetworkError>>()?;
-                let source = WeightSource::files(folder.files, options.source())?;
-                (source.unwrapped(|shapes| config.model.fits(shapes))?, files)
+                let fits = |shapes: &Shapes| config.model.fits(shapes);
+                (options.source(folder.files, fits)?, files)
             }
         };
         let store = ParamStore::frozen(source).on(device);

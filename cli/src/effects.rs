@@ -7,6 +7,8 @@ use crate::session::Session;
 use anyhow::{Context, Result};
 use scenesplat::datasets::effects::EffectError;
 use scenesplat::datasets::effects::plan::{EffectChoices, EffectPlan, looked_for};
+use scenesplat::datasets::effects::profile::profile;
+use scenesplat::effect_costs::{EffectCosts, FoundEffect, found_effects};
 use scenesplat::outputs::OpenedScene;
 use scenesplat::scene::GaussianScene;
 use scenesplat::scene::input_file::open_regular_file;
@@ -83,6 +85,25 @@ impl Session<'_> {
         self.progress.say(section.to_string());
         self.receipt.plan(scene.len(), section);
         Ok(about)
+    }
+
+    /// Says which effects of the capture a labeled scene shows, what each costs, and what to do about it; labels do not
+    /// depend on it. `is_own`: by the network inside the program, whose costs are known.
+    pub fn note_effects(
+        &self,
+        opened: &OpenedScene,
+        inference: &Inference,
+        is_own: bool,
+    ) -> Result<Vec<FoundEffect>> {
+        let metres = self.alignment(opened, inference).scale;
+        let _stage = self.receipt.stage("effects");
+        let costs = is_own.then(EffectCosts::embedded).transpose()?;
+        let found = found_effects(&profile(&opened.loaded.scene, metres), costs.as_ref());
+        for effect in &found {
+            self.progress.say(format!("effect of the capture: {effect}"));
+        }
+        self.receipt.effects(&found);
+        Ok(found)
     }
 
     /// Says how much was withheld; nothing where nothing was.

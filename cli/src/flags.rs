@@ -206,6 +206,9 @@ pub struct Inference {
     /// Layout of sparse convolutions in the checkpoint.
     #[arg(long, value_enum, default_value_t = ConvLayoutArg::Spconv2)]
     pub conv_layout: ConvLayoutArg,
+    /// Which language head, of a checkpoint with several (projection.NAME.weight).
+    #[arg(long, value_name = "NAME")]
+    pub head: Option<String>,
     /// Which way is up in the scene, for pictures and for the network, which reads a turned copy of a
     /// scene that lies otherwise than +z; judged by the scene if not given.
     #[arg(long, value_name = "AXIS|X,Y,Z", value_parser = parse_up, allow_hyphen_values = true)]

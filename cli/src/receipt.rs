@@ -6,6 +6,7 @@
 
 use scenesplat::alignment::AlignmentReport;
 use scenesplat::datasets::effects::plan::{EffectDecision, EffectPlan, PlanSection};
+use scenesplat::effect_costs::FoundEffect;
 pub use scenesplat::machine::Machine;
 use scenesplat::machine::peak_memory_bytes;
 use scenesplat::scene::SceneError;
@@ -107,6 +108,10 @@ pub struct ReceiptReport {
     /// where there are several.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub effect_plan: Option<EffectPlan>,
+    /// Effects of the capture that a labeled scene shows, with what they cost and what to do about them; of the last
+    /// scene where there are several.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub effects: Vec<FoundEffect>,
     /// How the network, or what measures the scene, reads it; of the last scene where there are several.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub alignment: Option<AlignmentReport>,
@@ -309,6 +314,11 @@ impl Receipt {
         let plan = report.effect_plan.get_or_insert_with(EffectPlan::default);
         plan.gaussians = gaussians;
         change(plan);
+    }
+
+    /// Notes the effects that a scene shows.
+    pub fn effects(&self, found: &[FoundEffect]) {
+        self.report.borrow_mut().effects = found.to_vec();
     }
 
     /// A part of the plan as text; empty where there is none.

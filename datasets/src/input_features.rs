@@ -27,6 +27,11 @@ pub enum InputChannel {
     /// Meters above the floor, which is looked for in the whole scene ([`Floors`]); the scene's z axis
     /// must point up. 1 channel. Not part of the original.
     Height,
+    /// Meters from the middle of the whole scene's bounding box along x and y, and above its lowest point along z.
+    /// 3 channels. What Sonata and Concerto read.
+    Position,
+    /// Color byte / 255, in 0..=1. 3 channels. What Sonata and Concerto read.
+    UnitColor,
 }
 
 impl InputChannel {
@@ -35,18 +40,19 @@ impl InputChannel {
         match self {
             Self::Opacity | Self::Height => 1,
             Self::Quat => 4,
-            Self::Color | Self::Scale | Self::Normal => 3,
+            Self::Color | Self::Scale | Self::Normal | Self::Position | Self::UnitColor => 3,
         }
     }
 
     fn field(self) -> &'static str {
         match self {
-            Self::Color => "color",
+            Self::Color | Self::UnitColor => "color",
             Self::Opacity => "opacity",
             Self::Quat => "quat",
             Self::Scale => "scale",
             Self::Normal => "normal",
             Self::Height => "coord z",
+            Self::Position => "coord",
         }
     }
 }
@@ -172,7 +178,8 @@ impl InputFeatures {
         let reads = self.reads_height();
         let found = (reads && floors.is_none()).then(|| Floors::of_scene(scene));
         let floors = floors.filter(|_| reads).or(found.as_ref());
-        self.filled(rows.len(), floors, |at| {
+        let origin = self.origin(&scene.coord);
+        self.filled(rows.len(), (floors, origin), |at| {
             let row = rows[at] as usize;
             let (bytes, dc) = (scene.color_u8(row), scene.sh_dc[row]);
             // A byte cannot be NaN; the value must be, to be found.
@@ -210,7 +217,8 @@ impl InputFeatures {
             // A crop that the floor is not in has other level surfaces, a ceiling at worst.
             if floors.below > CROPPED { Floors::lowest(&sample.coord) } else { floors }
         });
-        self.filled(sample.len(), floors.as_ref(), |row| Row {
+        let origin = self.origin(&sample.coord);
+        self.filled(sample.len(), (floors.as_ref(), origin), |row| Row {
             number: row,
             coord: sample.coord[row],
             color: sample.color[row],
@@ -235,7 +243,7 @@ impl InputFeatures {
     fn filled(
         &self,
         rows: usize,
-        floors: Option<&Floors>,
+        place: (Option<&Floors>, [f32; 3]),
         read: impl Fn(usize) -> Row + Sync,
     ) -> Result<Vec<f32>, DataError> {
         let width = self.width();
@@ -252,7 +260,7 @@ impl InputFeatures {
             let mut rest = out;
             for &channel in &self.channels {
                 let (part, behind) = rest.split_at_mut(channel.width());
-                self.write(channel, &row, floors, part);
+                self.write(channel, &row, place, part);
                 rest = behind;
             }
         });
@@ -267,8 +275,34 @@ impl InputFeatures {
         self.channels.contains(&InputChannel::Height)
     }
 
-    fn write(&self, channel: InputChannel, row: &Row, floors: Option<&Floors>, out: &mut [f32]) {
+    /// What positions are relative to: the middle of the bounding box along x and y, its lower end along z; what is
+    /// not finite does not count.
+    fn origin(&self, coord: &[[f32; 3]]) -> [f32; 3] {
+        if !self.channels.contains(&InputChannel::Position) {
+            return [0.0; 3];
+        }
+        let mut bounds = [[f32::INFINITY, f32::NEG_INFINITY]; 3];
+        for p in coord.iter().filter(|p| p.iter().all(|v| v.is_finite())) {
+            for ([low, high], v) in bounds.iter_mut().zip(p) {
+                (*low, *high) = (low.min(*v), high.max(*v));
+            }
+        }
+        let [x, y, z] = bounds;
+        if z[0] > z[1] { [0.0; 3] } else { [x[0].midpoint(x[1]), y[0].midpoint(y[1]), z[0]] }
+    }
+
+    fn write(
+        &self,
+        channel: InputChannel,
+        row: &Row,
+        (floors, origin): (Option<&Floors>, [f32; 3]),
+        out: &mut [f32],
+    ) {
         match channel {
+            InputChannel::Position => {
+                out.copy_from_slice(&std::array::from_fn::<_, 3, _>(|c| row.coord[c] - origin[c]));
+            }
+            InputChannel::UnitColor => out.copy_from_slice(&row.color.map(|c| c / 255.0)),
             InputChannel::Color => out.copy_from_slice(&row.color.map(|c| c / 127.5 - 1.0)),
             InputChannel::Opacity => out[0] = row.opacity,
             InputChannel::Quat => out.copy_from_slice(&row.quat),
@@ -318,6 +352,25 @@ mod tests {
         assert!((feat[8] - 0.01).abs() < 1e-8);
         assert_eq!(feat[9..11], [1.5, 0.0]);
         assert_eq!(feat[14], 0.5);
+    }
+
+    #[test]
+    fn positions_are_those_of_the_whole_scene() {
+        use InputChannel::{Position, UnitColor};
+        let mut scene = scene();
+        scene.coord = vec![[1.0, 2.0, 3.0], [2.0, 2.5, 3.5]];
+        let channels = vec![Position, UnitColor];
+        let input = InputFeatures { channels, ..InputFeatures::default() };
+        assert_eq!(input.width(), 6);
+        let rows = input.rows(&scene, &[1]).unwrap();
+        assert_eq!(rows, [0.5, 0.25, 0.5, 0.0, 1.0, 0.2]);
+        let sample = Sample::from_scene("a", scene.clone());
+        assert_eq!(input.sample_rows(&sample).unwrap()[6..], rows[..]);
+        // What has no place says so, and moves nothing else.
+        scene.coord[0] = [f32::NAN, 0.0, 0.0];
+        assert_eq!(input.rows(&scene, &[1]).unwrap()[..3], [0.0; 3]);
+        let error = input.rows(&scene, &[0]).unwrap_err().to_string();
+        assert!(error.contains("coord"), "{error}");
     }
 
     #[test]

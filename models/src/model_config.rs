@@ -63,6 +63,11 @@ impl ModelConfig {
         Self::new(PointTransformerV3Config::tiny())
     }
 
+    /// The encoder of Sonata, which Concerto and Chorus share.
+    pub fn sonata() -> Self {
+        Self::new(PointTransformerV3Config::sonata())
+    }
+
     /// With a linear classifier behind the backbone.
     #[must_use]
     pub fn with_classes(self, num_classes: usize) -> Self {
@@ -82,19 +87,25 @@ impl ModelConfig {
         self
     }
 
-    /// The released network (language, segmentation, self-supervised, the small one, or a LitePT)
-    /// that weights of these shapes belong to, with their number of inputs and classes; `None` if
+    /// The released network (language, segmentation, self-supervised, the small one, a LitePT, or an encoder of Sonata
+    /// or Concerto, with decoder or without) that weights of these shapes belong to, with their number of inputs and classes; `None` if
     /// they belong to none.
     pub fn recognize(shapes: &Shapes) -> Option<Self> {
         let has_classes = shapes.contains_key("seg_head.weight");
         let lite = LitePtSize::ALL.map(|size| Self::new(size.config()));
+        let second = [
+            PointTransformerV3Config::sonata(),
+            PointTransformerV3Config::sonata_with_decoder(),
+            PointTransformerV3Config::concerto_large(),
+        ];
         [Self::language(), Self::semseg(), Self::ssl(), Self::tiny()]
             .into_iter()
             .map(|config| config.adapted_to(shapes))
             .find(|c| c.num_classes().is_some() == has_classes && c.fits(shapes))
             .or_else(|| {
-                // Of a LitePT any head is as released as another.
+                // Of these any head is as released as another.
                 lite.into_iter()
+                    .chain(second.map(Self::new))
                     .map(|config| config.with_head_of(shapes).adapted_to(shapes))
                     .find(|c| c.fits(shapes))
             })

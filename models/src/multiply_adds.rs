@@ -54,10 +54,11 @@ impl BlockSize {
     }
 }
 
-/// Counts the multiply–adds of an encoder and decoder on the voxels of one scene. `blocks` gives those of a scale's blocks.
+/// Counts the multiply–adds of an encoder and decoder on the voxels of one scene. The first layer reads so many voxels
+/// an axis, of so many channels. `blocks` gives those of a scale's blocks.
 pub(crate) fn count(
     voxels: &[[i32; 3]],
-    in_channels: usize,
+    (stem_size, in_channels): (usize, usize),
     stride: &[usize],
     [enc, dec]: [&[usize]; 2],
     mut blocks: impl FnMut(usize, &SerializedCloud) -> Result<f64>,
@@ -65,8 +66,11 @@ pub(crate) fn count(
     let offsets = vec![0, voxels.len()];
     let finest = SerializedCloud::new(voxels.to_vec(), offsets, &[Curve::Z], CurveDepth::PerScene);
     let mut cloud = finest.map_err(candle_core::Error::wrap)?;
-    let map = cloud.kernel_map(5).map_err(candle_core::Error::wrap)?;
-    let stem = map.num_pairs() * in_channels * enc[0];
+    let pairs = match stem_size {
+        1 => cloud.len(),
+        size => cloud.kernel_map(size).map_err(candle_core::Error::wrap)?.num_pairs(),
+    };
+    let stem = pairs * in_channels * enc[0];
     let (mut scales, mut work) = (0, blocks(0, &cloud)?);
     for (stage, stride) in (1..).zip(stride) {
         let fine = cloud.len();

@@ -160,3 +160,77 @@ impl ReconstructionHead {
         self.last.forward(&self.norm.forward(&self.first.forward(x)?)?.relu()?)
     }
 }
+
+/// What an attribute's last layer goes through, so that the result is in the attribute's range.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum AttributeRange {
+    /// Any number.
+    Any,
+    /// −1 to 1: hyperbolic tangent.
+    Signed,
+    /// 0 to 1: logistic function.
+    Unit,
+    /// Rows of unit length; a zero row stays zero.
+    Direction,
+}
+
+/// Attributes of a masked Gaussian, each from three linear layers of its own with exact GELUs between, and an activation
+/// that brings it into its range.
+///
+/// # Source
+/// What the paper of SceneSplat says of its masked Gaussian modeling; its code has a [`ReconstructionHead`]. Width inside
+/// is that head's.
+#[derive(Debug, Clone)]
+pub struct AttributeHeads(Vec<AttributeHead>);
+
+#[derive(Debug, Clone)]
+struct AttributeHead {
+    layers: [Linear; 3],
+    range: AttributeRange,
+}
+
+impl AttributeHeads {
+    /// For each attribute its name, width and range, in the order of the columns. Parameters `NAME.0`, `NAME.2`, `NAME.4`,
+    /// with PyTorch's first values.
+    ///
+    /// # Errors
+    /// If parameters exist with another shape.
+    pub fn new<'a>(
+        channels: usize,
+        attributes: impl IntoIterator<Item = (&'a str, usize, AttributeRange)>,
+        compute: Compute,
+        vb: &VarBuilder<'_>,
+    ) -> Result<Self> {
+        let head = |(name, out, range): (&str, usize, AttributeRange)| -> Result<AttributeHead> {
+            let vb = vb.pp(name);
+            let layer = |at: &str, cin, cout| Linear::with(compute, cin, cout, true, vb.pp(at));
+            let layers = [
+                layer("0", channels, HIDDEN)?,
+                layer("2", HIDDEN, HIDDEN)?,
+                layer("4", HIDDEN, out)?,
+            ];
+            Ok(AttributeHead { layers, range })
+        };
+        attributes.into_iter().map(head).collect::<Result<_>>().map(Self)
+    }
+
+    /// `[N, C] → [N, out]`, the attributes side by side.
+    ///
+    /// # Errors
+    /// If the input does not fit.
+    pub fn forward(&self, x: &Tensor) -> Result<Tensor> {
+        let each = |head: &AttributeHead| {
+            let [first, second, last] = &head.layers;
+            let x = second.forward_gelu(&first.forward_gelu(x, None)?, None)?;
+            let x = last.forward(&x)?;
+            match head.range {
+                AttributeRange::Any => Ok(x),
+                AttributeRange::Signed => x.tanh(),
+                AttributeRange::Unit => candle_nn::ops::sigmoid(&x),
+                AttributeRange::Direction => ops::l2_normalize_above(&x, EPS),
+            }
+        };
+        let all: Vec<Tensor> = self.0.iter().map(each).collect::<Result<_>>()?;
+        Tensor::cat(&all, 1)
+    }
+}

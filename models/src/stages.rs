@@ -128,13 +128,15 @@ pub(crate) const LARGEST: usize = 1 << 14;
 /// Most blocks of a stage.
 pub(crate) const DEEPEST: usize = 256;
 
-/// The weight of the first layer of a network of voxels.
+/// The weight of the first layer of a network of voxels, where that is a convolution.
 pub(crate) const STEM: &str = "embedding.stem.conv.weight";
+/// The same, where it is a linear layer.
+pub(crate) const LINEAR_STEM: &str = "embedding.stem.linear.weight";
 
 /// How many inputs the first layer of a checkpoint has, if it has one.
 pub(crate) fn stem_inputs(shapes: &Shapes) -> Option<usize> {
-    match shapes.get(STEM)?.as_slice() {
-        [_, _, _, _, inputs] => Some(*inputs),
+    match shapes.get(STEM).or_else(|| shapes.get(LINEAR_STEM))?.as_slice() {
+        [_, _, _, _, inputs] | [_, inputs] => Some(*inputs),
         _ => None,
     }
 }
@@ -154,7 +156,7 @@ pub(crate) fn channels_below(enc: &[usize], dec: &[usize], stage: usize) -> usiz
 /// (`"enc"` or `"dec"`) and the number of a stage.
 pub(crate) fn has_scales(
     shapes: &Shapes,
-    inputs: usize,
+    (stem, stem_shape): (&str, &[usize]),
     [enc, dec]: [&[usize]; 2],
     blocks: impl Fn(&str, usize) -> bool,
 ) -> bool {
@@ -169,5 +171,5 @@ pub(crate) fn has_scales(
     });
     let more =
         shapes.contains_key(&down(enc.len())) || shapes.contains_key(&up(dec.len(), "proj_skip"));
-    has(shapes, STEM, &[enc[0], 5, 5, 5, inputs]) && encoder && decoder && !more
+    has(shapes, stem, stem_shape) && encoder && decoder && !more
 }

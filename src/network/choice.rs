@@ -2,8 +2,8 @@
 
 use super::config::NetworkConfig;
 use super::{NetworkError, WeightOptions, Weights};
-use scenesplat_models::weights::{Shapes, WeightSource, resolve};
-use scenesplat_models::{LitePtSize, ModelConfig};
+use scenesplat_models::weights::{Shapes, resolve};
+use scenesplat_models::{LitePtSize, ModelConfig, PointTransformerV3Config};
 use std::path::{Path, PathBuf};
 use std::str::FromStr;
 
@@ -20,13 +20,20 @@ pub enum NetworkChoice {
     Tiny,
     /// A LitePT by its name; 768-d language features unless weights have another head.
     LitePt(LitePtSize),
+    /// The encoder of Sonata, of Concerto's base size and of Chorus, 1232-d features; reads position, color and normal
+    /// unless weights have another number of inputs.
+    Sonata,
+    /// The same with the decoder of its probes and fine-tuned networks, 64-d features or class scores.
+    SonataWithDecoder,
+    /// The encoder of Concerto's large size, 1728-d features.
+    ConcertoLarge,
     /// A TOML or JSON file of a [`NetworkConfig`].
     File(PathBuf),
 }
 
 impl NetworkChoice {
     /// The names, with what they stand for.
-    pub const NAMED: [(&'static str, Self); 8] = [
+    pub const NAMED: [(&'static str, Self); 11] = [
         ("language", Self::Language),
         ("semseg", Self::Semseg),
         ("ssl", Self::Ssl),
@@ -35,6 +42,9 @@ impl NetworkChoice {
         ("litept-s-decoder", Self::LitePt(LitePtSize::SmallWithDecoder)),
         ("litept-b", Self::LitePt(LitePtSize::Base)),
         ("litept-l", Self::LitePt(LitePtSize::Large)),
+        ("sonata", Self::Sonata),
+        ("sonata-decoder", Self::SonataWithDecoder),
+        ("concerto-large", Self::ConcertoLarge),
     ];
 
     /// The configuration, read if it is a file.
@@ -52,12 +62,19 @@ impl NetworkChoice {
                 let model = ModelConfig::new(size.config()).with_projection(wide);
                 NetworkConfig { model, ..NetworkConfig::language() }
             }
+            Self::Sonata => NetworkConfig::second(PointTransformerV3Config::sonata()),
+            Self::SonataWithDecoder => {
+                NetworkConfig::second(PointTransformerV3Config::sonata_with_decoder())
+            }
+            Self::ConcertoLarge => {
+                NetworkConfig::second(PointTransformerV3Config::concerto_large())
+            }
             Self::File(path) => return NetworkConfig::read(path),
         })
     }
 
     /// As [`resolve`](Self::resolve); a network given by its name takes the number of inputs
-    /// and classes from weights of these shapes, a LitePT its whole head.
+    /// and classes from weights of these shapes, a LitePT and the encoders of Sonata and Concerto their whole head.
     ///
     /// # Errors
     /// As [`resolve`](Self::resolve), and if it is unknown what so many inputs are.
@@ -65,7 +82,7 @@ impl NetworkChoice {
         match self {
             Self::File(path) => NetworkConfig::read(path),
             // Published with classes, trained here with features: any head is as good as another.
-            Self::LitePt(_) => {
+            Self::LitePt(_) | Self::Sonata | Self::SonataWithDecoder | Self::ConcertoLarge => {
                 let NetworkConfig { model, input } = self.resolve()?;
                 let model = model.with_head_of(shapes);
                 Ok(NetworkConfig { model, input }.adapted_to(shapes)?)
@@ -110,7 +127,7 @@ impl std::fmt::Display for NetworkChoice {
 pub fn network_of(
     weights: &Weights,
     choice: Option<&NetworkChoice>,
-    options: WeightOptions,
+    options: &WeightOptions,
 ) -> Result<NetworkConfig, NetworkError> {
     let path = match weights {
         Weights::Embedded => return crate::embedded::config(),
@@ -124,12 +141,11 @@ pub fn network_of(
     if let (None, Some(config)) = (choice, &folder.config) {
         return NetworkConfig::read(config);
     }
-    let source = WeightSource::files(folder.files, options.source())?;
     let is_network = |shapes: &Shapes| match choice {
         Some(choice) => choice.resolve_for(shapes).is_ok_and(|config| config.model.fits(shapes)),
         None => ModelConfig::recognize(shapes).is_some(),
     };
-    let shapes = source.unwrapped(is_network)?.shapes();
+    let shapes = options.source(folder.files, is_network)?.shapes();
     match choice {
         Some(choice) => choice.resolve_for(&shapes),
         None => match ModelConfig::recognize(&shapes) {

@@ -4,7 +4,7 @@ use super::error::NetworkError;
 use candle_core::Result;
 use scenesplat_datasets::{InputChannel, InputFeatures};
 use scenesplat_models::weights::Shapes;
-use scenesplat_models::{Compute, ModelConfig, UniqueKeys};
+use scenesplat_models::{Compute, ModelConfig, PointTransformerV3Config, UniqueKeys};
 use serde::de::Error;
 use serde::{Deserialize, Deserializer, Serialize};
 use std::path::Path;
@@ -24,11 +24,12 @@ pub struct NetworkConfig {
 }
 
 /// What networks of so many inputs read where their file does not say: color, opacity, quat and
-/// scale (11), those and the height above the ground (12), or those and the normal (14). `None` for
-/// other numbers.
+/// scale (11), those and the height above the ground (12), or those and the normal (14); position, color in 0 to 1 and
+/// normal (9), as Sonata and Concerto. `None` for other numbers.
 pub fn documented_input(in_channels: usize) -> Option<InputFeatures> {
-    use InputChannel::{Color, Height, Normal, Opacity, Quat, Scale};
+    use InputChannel::{Color, Height, Normal, Opacity, Position, Quat, Scale, UnitColor};
     let channels = match in_channels {
+        9 => vec![Position, UnitColor, Normal],
         11 => vec![Color, Opacity, Quat, Scale],
         12 => vec![Color, Opacity, Quat, Scale, Height],
         14 => vec![Color, Opacity, Quat, Scale, Normal],
@@ -47,8 +48,8 @@ impl NetworkConfig {
         let Some(input) = documented_input(count) else {
             candle_core::bail!(
                 "input: the file does not say what the {count} inputs of the network are \
-                 (in_channels), and they are none of the documented sets (11: color, opacity, quat, \
-                 scale; 12: those and height; 14: those and normal); add `input` with its `channels`"
+                 (in_channels), and they are none of the documented sets (9: position, unit_color, \
+                 normal; 11: color, opacity, quat, scale; 12: those and height; 14: those and normal); add `input` with its `channels`"
             );
         };
         Ok(Self { model, input })
@@ -74,6 +75,12 @@ impl NetworkConfig {
     /// A small language network for trying things out.
     pub fn tiny() -> Self {
         Self { model: ModelConfig::tiny(), ..Self::language() }
+    }
+
+    /// An encoder of Sonata or Concerto, or one with the decoder of their probes, with what those read.
+    pub fn second(backbone: PointTransformerV3Config) -> Self {
+        let input = documented_input(backbone.in_channels).unwrap_or_default();
+        Self { model: ModelConfig::new(backbone), input }
     }
 
     /// This network with the number of inputs and classes that a checkpoint has.
@@ -171,9 +178,12 @@ mod tests {
     fn folders_without_input_get_what_is_documented_or_an_error() {
         let read =
             |n: usize| serde_json::from_str::<NetworkConfig>(&format!(r#"{{"in_channels": {n}}}"#));
-        for (n, last) in
-            [(11, InputChannel::Scale), (12, InputChannel::Height), (14, InputChannel::Normal)]
-        {
+        for (n, last) in [
+            (9, InputChannel::Normal),
+            (11, InputChannel::Scale),
+            (12, InputChannel::Height),
+            (14, InputChannel::Normal),
+        ] {
             let config = read(n).unwrap();
             config.check().unwrap();
             assert_eq!(config.input.channels.last(), Some(&last));

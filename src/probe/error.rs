@@ -8,12 +8,6 @@ use std::path::PathBuf;
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum ProbeError {
-    /// A path without a model in it.
-    #[error("{}: is no model folder (config.json and weights), as `train` leaves one", path.display())]
-    NoModel {
-        /// Which.
-        path: PathBuf,
-    },
     /// A setting outside its range.
     #[error("{setting}: {value} is not allowed, expected {expected}")]
     Setting {
@@ -23,6 +17,26 @@ pub enum ProbeError {
         value: String,
         /// What is allowed.
         expected: &'static str,
+    },
+    /// A folder that cannot be read.
+    #[error("{}: cannot be read", path.display())]
+    Folder {
+        /// Which.
+        path: PathBuf,
+        /// Why.
+        source: std::io::Error,
+    },
+    /// A set of objects without some to learn from, or some to score.
+    #[error(
+        "{}: has no objects in CLASS/{part}/FILE or {part}/CLASS/FILE; a set of objects has train and test, with a folder a \
+         class",
+        root.display()
+    )]
+    NoObjects {
+        /// The folder.
+        root: PathBuf,
+        /// `train` or `test`.
+        part: &'static str,
     },
     /// Too few scenes to learn from some and score others.
     #[error("{scenes} scenes: a probe learns from some and is scored on others; give two or more")]

@@ -11,15 +11,17 @@
 mod classifier;
 mod decoder;
 mod error;
+mod object_set;
 mod rows;
 mod scenes;
 
 pub use classifier::{Fit, ProbeKind, ProbeSettings};
 pub use error::ProbeError;
+pub use object_set::ObjectSet;
 pub use rows::{LabelRegime, ProbeScene, RowSource};
 pub use scenes::ProbeScenes;
 
-use crate::network::{Network, NetworkConfig, WeightOptions, Weights, config_beside};
+use crate::network::{Network, NetworkConfig, WeightOptions, Weights, network_of};
 use classifier::Classifier;
 use decoder::EncoderValues;
 use rows::{Learned, Objects, choose, objects};
@@ -87,10 +89,10 @@ pub struct ProbeReport {
     pub raw_inputs: ProbeResult,
 }
 
-/// Probes the network of a model folder. `say` gets each step in words; returning `false` cancels.
+/// Probes the network of a model folder, or of weights that are known by their shapes. `say` gets each step in words; returning `false` cancels.
 ///
 /// # Errors
-/// If the folder is no model whose network gives its scales, or scenes cannot be read or hold no labels.
+/// If they are no model whose network gives its scales, or scenes cannot be read or hold no labels.
 pub fn probe(
     model: &Path,
     scenes: &ProbeScenes,
@@ -98,8 +100,7 @@ pub fn probe(
     say: &mut dyn FnMut(&str) -> bool,
 ) -> Result<ProbeReport, ProbeError> {
     settings.check()?;
-    let config =
-        config_beside(model)?.ok_or_else(|| ProbeError::NoModel { path: model.to_owned() })?;
+    let config = network_of(&Weights::File(model.to_owned()), None, &WeightOptions::default())?;
     let network =
         Network::load(config.clone(), &Weights::File(model.to_owned()), WeightOptions::default())?;
     let random = random_network(&config, settings.seed)?;

@@ -197,9 +197,11 @@ impl ReconstructionRun {
             let values = &row[start..start + channel.width()];
             start += channel.width();
             match channel {
-                InputChannel::Color => {
+                InputChannel::Color | InputChannel::UnitColor => {
+                    let unit = *channel == InputChannel::UnitColor;
                     scene.sh_dc[at] = std::array::from_fn(|c| {
-                        let color = ((values[c] + 1.0) / 2.0).clamp(0.0, 1.0);
+                        let color = if unit { values[c] } else { (values[c] + 1.0) / 2.0 };
+                        let color = color.clamp(0.0, 1.0);
                         (color - 0.5) / SH_C0
                     });
                     let rest = 3 * scene.sh_rest_len();
@@ -227,7 +229,7 @@ impl ReconstructionRun {
                     }
                 }
                 // Where it is, is known.
-                InputChannel::Height => {}
+                InputChannel::Height | InputChannel::Position => {}
             }
         }
     }

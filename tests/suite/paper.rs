@@ -122,7 +122,7 @@ fn small(config: &ExperimentConfig) -> ExperimentConfig {
 fn train_small(file: &Path, data: &Path, pretrained: &Path, out: &Path) -> PathBuf {
     let value = |name: &str| match name {
         "DATA_ROOT" => Some(data.display().to_string()),
-        "SSL_MODEL" => Some(pretrained.display().to_string()),
+        "SSL_MODEL" | "SONATA" => Some(pretrained.display().to_string()),
         "FEATURES" => Some("train_segments".to_owned()),
         _ => None,
     };
@@ -166,6 +166,7 @@ fn a_run_of_each_kind_takes_three_steps() {
         "scannet_supplement",
         "scannet_la16",
         "scannet20_finetune",
+        "scannet20_sonata",
         "ptv2_scannet20",
     ];
     assert_eq!(train_all(&kinds), kinds.len());

@@ -216,5 +216,5 @@ fn network(args: &NetworkArgs) -> Result<(String, NetworkConfig)> {
         (Weights::Embedded, None) => embedded::NAME.to_owned(),
         (Weights::Seeded(_), None) => NetworkChoice::Language.to_string(),
     };
-    Ok((name, network_of(weights, args.config.as_ref(), WeightOptions::default())?))
+    Ok((name, network_of(weights, args.config.as_ref(), &WeightOptions::default())?))
 }

@@ -10,6 +10,7 @@ use crate::session::{FeatureSource, Session};
 use crate::setting::VOTE_K;
 use crate::surfaces::{Agreeing, Asked, SurfaceArgs};
 use anyhow::{Context, Result};
+use scenesplat::effect_costs::FoundEffect;
 use scenesplat::labels::{self, label_agreeing_with_vote};
 use scenesplat::objects::surfaces::SceneSurfaces;
 use scenesplat::objects::{Catalogue, ObjectInput, ObjectSettings, find_objects};
@@ -104,6 +105,8 @@ pub struct Labelled {
     pub is_vocabulary: bool,
     /// Whether that network labeled it.
     pub is_own: bool,
+    /// Effects of the capture that the scene shows; none are looked for without a network.
+    pub effects: Vec<FoundEffect>,
     /// What to add to a title where the result means nothing.
     pub remark: &'static str,
 }
@@ -172,6 +175,7 @@ impl LabelArgs {
             features: None,
             is_vocabulary: false,
             is_own: false,
+            effects: Vec::new(),
             remark: "",
         })
     }
@@ -235,8 +239,13 @@ impl Labelling {
                 session.progress.say(text);
             }
         }
+        let effects = match is_network {
+            true => session.note_effects(&opened, &self.inference, is_own)?,
+            false => Vec::new(),
+        };
         session.check_stop()?;
         Ok(Labelled {
+            effects,
             labels: found.labels,
             scores: Some(found.scores),
             names: names.names,

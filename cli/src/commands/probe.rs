@@ -7,13 +7,13 @@ use crate::terminal::{print, write_text};
 use anyhow::{Context, Result};
 use scenesplat::datasets::{DataError, DataSource, SourceScene, SyntheticRooms};
 use scenesplat::input::open_input;
-use scenesplat::network::config_beside;
+use scenesplat::network::{WeightOptions, Weights, network_of};
 use scenesplat::probe::{
-    LabelRegime, ProbeError, ProbeKind, ProbeReport, ProbeResult, ProbeScenes, ProbeSettings, probe,
+    LabelRegime, ObjectSet, ProbeKind, ProbeReport, ProbeResult, ProbeScenes, ProbeSettings, probe,
 };
 use scenesplat::rooms::SyntheticRoomSettings;
 use scenesplat::scene::ReadOptions;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 /// Asks what a network has learned: trains a small classifier on its rows, which stay as they are.
@@ -24,12 +24,13 @@ use std::sync::Arc;
 /// that learned something beats both.
 #[derive(Debug, Clone, clap::Args)]
 pub struct Args {
-    /// The network: a model folder as `train` leaves one.
+    /// The network: a model folder as `train` leaves one, or weights that are known by their shapes.
     #[arg(value_name = "MODEL")]
     pub model: PathBuf,
     /// Scenes with labels, two or more: files, folders of .npy files, or synthetic:COUNT:SEED for rooms
-    /// that are made on the spot.
-    #[arg(required = true, value_name = "SCENE|synthetic:COUNT:SEED")]
+    /// that are made on the spot. Or objects:FOLDER alone: single objects, one label a file, in CLASS/train/FILE and
+    /// CLASS/test/FILE or train/CLASS/FILE and test/CLASS/FILE.
+    #[arg(required = true, value_name = "SCENE|synthetic:COUNT:SEED|objects:FOLDER")]
     pub scenes: Vec<String>,
     /// What stands on the rows.
     #[arg(long, value_enum, default_value_t = Kind::Linear)]
@@ -168,13 +169,37 @@ impl DataSource for Given {
     }
 }
 
+/// The folder of a set of objects, if that is what is probed.
+fn object_folder(args: &Args) -> Result<Option<&Path>> {
+    let mut folders = args.scenes.iter().filter_map(|scene| scene.strip_prefix("objects:"));
+    let Some(folder) = folders.next() else { return Ok(None) };
+    if args.scenes.len() > 1 {
+        refuse!("objects:{folder}: a set of objects is probed alone");
+    }
+    if args.test.is_some() {
+        refuse!("--test: a set of objects has its own, in the folders named test");
+    }
+    if args.no_objects {
+        refuse!("--no-objects: nothing would be left to say about objects:{folder}");
+    }
+    Ok(Some(Path::new(folder)))
+}
+
 /// Runs the command.
 pub fn run(args: &Args) -> Result<()> {
     let progress = Progress::start(&args.running)?;
-    let config = config_beside(&args.model)?
-        .ok_or_else(|| ProbeError::NoModel { path: args.model.clone() })?;
-    let given = Arc::new(Given::new(&args.scenes, args.source.options())?);
-    let scenes = ProbeScenes::new(given, config.model.grid_size, args.test)?;
+    let weights = Weights::File(args.model.clone());
+    let config = network_of(&weights, None, &WeightOptions::default())?;
+    let (given, test): (Arc<dyn DataSource>, _) = match object_folder(args)? {
+        Some(folder) => {
+            let objects = ObjectSet::open(folder, args.source.options())?;
+            progress.say(format!("classes: {}", objects.classes().join(", ")));
+            let test = objects.test();
+            (Arc::new(objects), Some(test))
+        }
+        None => (Arc::new(Given::new(&args.scenes, args.source.options())?), args.test),
+    };
+    let scenes = ProbeScenes::new(given, config.model.grid_size, test)?;
     let settings = ProbeSettings {
         kind: args.kind.into(),
         labels: args.labels,

@@ -227,6 +227,7 @@ fn plain(labels: &LabelArgs, session: &Session<'_>) -> Result<Labelled> {
         features: None,
         is_vocabulary: false,
         is_own: false,
+        effects: Vec::new(),
         remark: "",
     })
 }
@@ -247,6 +248,7 @@ fn remarks(args: &Args, labelled: &Labelled, found: Option<&Catalogue>) -> Vec<S
         };
         out.push(from.to_owned());
     }
+    out.extend(labelled.effects.iter().map(|effect| format!("Effect of the capture: {effect}.")));
     if let Some(text) = found.map(left_out).filter(|text| !text.is_empty()) {
         out.push(format!("Objects{text}."));
     }

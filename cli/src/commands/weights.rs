@@ -5,13 +5,16 @@ use crate::session::Session;
 use crate::terminal::print;
 use anyhow::Result;
 use scenesplat::models::convert::{Renamed, rename};
-use scenesplat::models::weights::{WeightFile, WeightSource, resolve, summarize};
+use scenesplat::models::weights::{Shapes, WeightFile, resolve, summarize};
 use scenesplat::models::{LoadPolicy, ModelConfig};
 use scenesplat::network::{
     Network, NetworkChoice, NetworkConfig, WeightOptions, Weights as Source, config_beside,
     network_of,
 };
 use std::path::PathBuf;
+
+/// Values of the largest network that is built without a sign that it fits.
+const LARGE: usize = 100_000_000;
 
 /// Prints the files with their SHA-256, their entries, and which network they fit.
 #[derive(Debug, clap::Args)]
@@ -30,6 +33,9 @@ pub struct Args {
     /// Layout of sparse convolutions in the checkpoint.
     #[arg(long, value_enum, default_value_t = ConvLayoutArg::Spconv2)]
     pub conv_layout: ConvLayoutArg,
+    /// Which language head, of a checkpoint with several (projection.NAME.weight).
+    #[arg(long, value_name = "NAME")]
+    pub head: Option<String>,
     /// Asks about this network only: language, semseg, ssl, tiny, litept-s (-s-decoder, -b, -l) or a .toml file.
     #[arg(long, value_name = "NAME|FILE")]
     pub config: Option<NetworkChoice>,
@@ -50,13 +56,14 @@ pub fn run(args: &Args, line: &str) -> Result<()> {
         policy: LoadPolicy::Partial,
         branch: args.branch.into(),
         conv_layout: args.conv_layout.into(),
+        head: args.head.clone(),
     };
-    let source = WeightSource::files(folder.files, options.source())?;
-    let shapes = source.unwrapped(|shapes| ModelConfig::recognize(shapes).is_some())?.shapes();
+    let is_network = |shapes: &Shapes| ModelConfig::recognize(shapes).is_some();
+    let shapes = options.source(folder.files, is_network)?.shapes();
 
     let candidates: Vec<(String, NetworkConfig)> = match &args.config {
         Some(choice) => {
-            let own = network_of(&Source::File(args.checkpoint.clone()), Some(choice), options)?;
+            let own = network_of(&Source::File(args.checkpoint.clone()), Some(choice), &options)?;
             vec![(choice.to_string(), own)]
         }
         None => match config_beside(&args.checkpoint)? {
@@ -68,12 +75,17 @@ pub fn run(args: &Args, line: &str) -> Result<()> {
                     let adapted = choice.resolve_for(&shapes).or_else(|_| choice.resolve())?;
                     Ok((name.to_owned(), adapted))
                 })
+                // Encoders of a gigabyte are not built to say that they do not fit.
+                .filter(|candidate: &Result<(String, NetworkConfig)>| {
+                    let Ok((_, config)) = candidate else { return true };
+                    config.model.num_values() < LARGE || config.model.fits(&shapes)
+                })
                 .collect::<Result<_>>()?,
         },
     };
     let mut fits = Vec::new();
     for (name, config) in candidates {
-        match Network::load(config, &Source::File(args.checkpoint.clone()), options) {
+        match Network::load(config, &Source::File(args.checkpoint.clone()), options.clone()) {
             Ok(network) => {
                 let report = network.report();
                 let verdict = if report.is_complete() { "fits" } else { "does not fit" };

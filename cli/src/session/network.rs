@@ -28,8 +28,9 @@ impl Session<'_> {
             policy: if partial { LoadPolicy::Partial } else { LoadPolicy::Strict },
             branch: inference.branch.into(),
             conv_layout: inference.conv_layout.into(),
+            head: inference.head.clone(),
         };
-        let config = network_of(weights, inference.network.config.as_ref(), options)?;
+        let config = network_of(weights, inference.network.config.as_ref(), &options)?;
         let config = inference.effective.apply_to_network(config.with_compute(compute));
         let config = config.map_err(|error| WrongUse(format!("--setting: {error}")))?;
         let device = self.device(inference.device)?;

@@ -45,6 +45,14 @@ fn effects_are_compensated_for_when_asked_and_a_receipt_says_how_to_do_it_again(
     }
     has(decision(&found, "tiles", "halo")["why"].as_str().unwrap(), &["one piece"]);
     assert!(found["effect_plan"]["sections"][0].get("seconds").is_none());
+    // What is found is said, with its cost and what to do, whether or not anything is done about it.
+    let effects = found["effects"].as_array().unwrap();
+    let holes = effects.iter().find(|e| e["effect"] == "holes").unwrap();
+    assert!(holes["severity"].as_f64().unwrap() >= 0.5 && holes["f_miou_lost"].is_number());
+    has(
+        &said,
+        &["effect of the capture: holes of severity", "capture the parts that no picture shows"],
+    );
     let off = "holes=off,floaters=off,surface=off,blur=off,glass=off,light=off,noise=off";
     assert!(run("off", &format!("--effect {off}")).0 == auto, "auto without a finding is off");
 

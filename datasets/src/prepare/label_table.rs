@@ -94,7 +94,10 @@ impl LabelTables<'_> {
                 Ok(vec![LabelTable::of_names("segment", nyu40), coarse])
             }
             ScanLayout::Points => Ok(vec![LabelTable::of_numbers("segment", Vec::new())]),
-            ScanLayout::Replica | ScanLayout::ThreeRScan | ScanLayout::Arkitscenes => Err(needed(
+            ScanLayout::Replica
+            | ScanLayout::ThreeRScan
+            | ScanLayout::Arkitscenes
+            | ScanLayout::InteriorGs => Err(needed(
                 layout,
                 "give the names of classes, one a line, in the order that their numbers shall have",
             )),

@@ -1,17 +1,17 @@
 //! From one scale to the next coarser one.
 
-use super::{BatchNorm, Linear};
+use super::{Linear, Norm, NormKind};
 use crate::{Compute, Forward, ops};
 use candle_core::{Result, Tensor};
 use candle_nn::VarBuilder;
 use scenesplat_kernels::segment::{Groups, Reduce};
 use std::sync::Arc;
 
-/// Linear, reduction of the voxels of a cell, batch norm, GELU.
+/// Linear, reduction of the voxels of a cell, norm, GELU.
 #[derive(Debug)]
 pub(crate) struct CellPooling {
     proj: Linear,
-    norm: BatchNorm,
+    norm: Norm,
     reduce: Reduce,
 }
 
@@ -24,11 +24,12 @@ impl CellPooling {
         in_channels: usize,
         channels: usize,
         reduce: Reduce,
+        norm: NormKind,
         compute: Compute,
         vb: VarBuilder<'_>,
     ) -> Result<Self> {
         let proj = Linear::with(compute, in_channels, channels, true, vb.pp("proj"))?;
-        Ok(Self { proj, norm: BatchNorm::new(channels, vb.pp("norm.0"))?, reduce })
+        Ok(Self { proj, norm: Norm::new(norm, channels, vb.pp("norm.0"))?, reduce })
     }
 
     /// `[N, in] → [M, C]`, a row for each group.

@@ -1,18 +1,18 @@
-//! A linear layer with a batch norm and a GELU behind it.
+//! A linear layer with a norm and a GELU behind it.
 
 use super::linear::parameters;
-use super::{BatchNorm, Linear, add, vector};
+use super::{Linear, Norm, NormKind, add, vector};
 use crate::{Compute, Forward, Mode, ops};
 use candle_core::Result;
 use candle_core::Tensor;
 use candle_nn::VarBuilder;
 
-/// `gelu(BatchNorm(Linear(x)))`; one linear layer where both are frozen and may be folded.
+/// `gelu(norm(Linear(x)))`; one linear layer where a batch norm is frozen and may be folded into it.
 #[derive(Debug, Clone)]
 pub struct LinearNorm {
     linear: Linear,
     /// `None` if it is part of the linear layer.
-    norm: Option<BatchNorm>,
+    norm: Option<Norm>,
 }
 
 impl LinearNorm {
@@ -22,13 +22,14 @@ impl LinearNorm {
     /// If the parameters exist with another shape.
     pub fn new(
         compute: Compute,
+        kind: NormKind,
         cin: usize,
         cout: usize,
         linear: VarBuilder<'_>,
         norm: VarBuilder<'_>,
     ) -> Result<Self> {
         let (weight, bias) = parameters(cin, cout, true, &linear)?;
-        let norm = BatchNorm::new(cout, norm)?;
+        let norm = Norm::new(kind, cout, norm)?;
         let Some((scale, shift)) = norm.scale_shift().filter(|_| compute.fold) else {
             return Ok(Self { linear: Linear::of(compute, weight, bias)?, norm: Some(norm) });
         };
@@ -44,7 +45,7 @@ impl LinearNorm {
         Ok(Self { linear: Linear::frozen(compute, &weight, cin, cout, Some(bias)), norm: None })
     }
 
-    /// As [`BatchNorm::mode`].
+    /// As [`BatchNorm::mode`](super::BatchNorm::mode).
     pub fn mode(&self, cx: &Forward<'_>) -> Mode {
         self.norm.as_ref().map_or(cx.mode, |norm| norm.mode(cx))
     }
@@ -52,7 +53,7 @@ impl LinearNorm {
     /// `[N, in] → [N, out]`
     ///
     /// # Errors
-    /// If the input does not fit, or as [`BatchNorm::forward_gelu`].
+    /// If the input does not fit, or as [`BatchNorm::forward_gelu`](super::BatchNorm::forward_gelu).
     pub fn forward(&self, x: &Tensor, mode: Mode) -> Result<Tensor> {
         match &self.norm {
             Some(norm) => norm.forward_gelu(&self.linear.forward(x)?, mode),

@@ -10,6 +10,7 @@ mod linear_norm;
 mod linear_norm_relu;
 mod low_rank_conv;
 mod mlp;
+mod norm;
 mod residual_conv;
 mod sparse_conv;
 
@@ -22,6 +23,8 @@ pub use linear::Linear;
 pub use linear_norm::LinearNorm;
 pub(crate) use linear_norm_relu::{Encoding, LinearNormRelu, batch_norm};
 pub use mlp::Mlp;
+pub(crate) use norm::Norm;
+pub use norm::NormKind;
 pub use residual_conv::ResidualConv;
 pub use sparse_conv::SparseConv;
 

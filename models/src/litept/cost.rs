@@ -85,7 +85,7 @@ impl LitePtConfig {
         let folded = frozen && self.compute.fold;
         let (encoder, decoder) = (self.encoder_blocks(), self.decoder_blocks());
         let channels = [self.enc_channels.as_slice(), &self.dec_channels];
-        count(voxels, self.in_channels, &self.stride, channels, |stage, cloud| {
+        count(voxels, (5, self.in_channels), &self.stride, channels, |stage, cloud| {
             let mut work = 0.0;
             for shape in encoder[stage].iter().chain(decoder.get(stage).into_iter().flatten()) {
                 let size = BlockSize::count(cloud, shape.attention.patch_size)?;

@@ -26,7 +26,7 @@ pub use block::{Block, BlockKind, BlockShape};
 pub use config::{LitePtConfig, LitePtSize};
 pub use scale::Scale;
 
-use crate::layers::CellPooling;
+use crate::layers::{CellPooling, NormKind};
 use crate::point_transformer_v3::{Embedding, SerializedUnpooling};
 use crate::row_order::{OrderShuffle, enter, leave, morton_rows};
 use crate::stages::curves;
@@ -79,13 +79,14 @@ impl LitePt {
         config.check()?;
         let (channels, compute) = (&config.enc_channels, config.compute);
         let embedding =
-            Embedding::new(config.in_channels, channels[0], compute, vb.pp("embedding"))?;
+            Embedding::convolution(config.in_channels, channels[0], compute, vb.pp("embedding"))?;
         let mut encoder = Vec::new();
         for (stage, shapes) in config.encoder_blocks().iter().enumerate() {
             let vb = vb.pp(format!("enc.enc{stage}"));
             let down = || -> Result<(CellPooling, u32)> {
                 let (fine, coarse) = (channels[stage - 1], channels[stage]);
-                let pooling = CellPooling::new(fine, coarse, Reduce::Max, compute, vb.pp("down"))?;
+                let (reduce, norm) = (Reduce::Max, NormKind::Batch);
+                let pooling = CellPooling::new(fine, coarse, reduce, norm, compute, vb.pp("down"))?;
                 Ok((pooling, config.stride[stage - 1].trailing_zeros()))
             };
             let down = (stage > 0).then(down).transpose()?;
@@ -98,6 +99,7 @@ impl LitePt {
                 config.channels_below(stage),
                 channels[stage],
                 config.dec_channels[stage],
+                NormKind::Batch,
                 compute,
                 vb.pp("up"),
             )?;

@@ -1,7 +1,7 @@
 //! Whether a checkpoint holds a network of this shape.
 
 use super::config::LitePtConfig;
-use crate::stages::{has, has_scales};
+use crate::stages::{STEM, has, has_scales};
 use crate::weights::Shapes;
 
 impl LitePtConfig {
@@ -10,7 +10,8 @@ impl LitePtConfig {
     pub(super) fn has_shapes(&self, shapes: &Shapes) -> bool {
         let (encoder, decoder) = (self.encoder_blocks(), self.decoder_blocks());
         let channels = [self.enc_channels.as_slice(), &self.dec_channels];
-        let scales = has_scales(shapes, self.in_channels, channels, |half, s| {
+        let stem = [self.enc_channels[0], 5, 5, 5, self.in_channels];
+        let scales = has_scales(shapes, (STEM, &stem), channels, |half, s| {
             let blocks = if half == "enc" { &encoder[s] } else { &decoder[s] };
             let parts = |block: usize| {
                 ["conv.0", "attn.qkv"]

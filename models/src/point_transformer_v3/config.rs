@@ -4,6 +4,7 @@ use super::PointTransformerV3;
 use super::attention::BatchRule;
 use super::block::BlockShape;
 use crate::architecture::NO_LAST_STAGE;
+use crate::layers::NormKind;
 use crate::params::check_values;
 use crate::stages::{
     DEEPEST, LARGEST, MAX_MLP_RATIO, channels_below, check_fields, check_rates, curves, drop_rates,
@@ -43,6 +44,37 @@ impl From<PoolingReduce> for Reduce {
     }
 }
 
+/// Which of the two published forms of the network.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Version {
+    /// `PT-v3m1`: a convolution over 5³ voxels in front, batch norms around the stages. In the decoder the first
+    /// convolution of a stage reads the skip branch alone.
+    #[default]
+    M1,
+    /// `PT-v3m2` (Sonata, Concerto, Chorus): a linear layer in front, layer norms everywhere. In the decoder the first
+    /// convolution of a stage reads the sum of both branches.
+    M2,
+}
+
+impl Version {
+    /// The norm of stem, pooling and unpooling.
+    pub(super) fn norm(self) -> NormKind {
+        match self {
+            Self::M1 => NormKind::Batch,
+            Self::M2 => NormKind::Layer,
+        }
+    }
+
+    /// Where the token for masked rows is.
+    pub(super) fn mask_token(self) -> &'static str {
+        match self {
+            Self::M1 => "mask_token",
+            Self::M2 => "embedding.mask_token",
+        }
+    }
+}
+
 /// Shape of a Point Transformer V3. Defaults are those of the language network.
 ///
 /// Lists of the encoder have one entry a stage; lists of the decoder one entry a stage but the
@@ -50,6 +82,8 @@ impl From<PoolingReduce> for Reduce {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct PointTransformerV3Config {
+    /// Which form: stem, norms, and what the decoder's convolutions read.
+    pub version: Version,
     /// Width of the input features.
     pub in_channels: usize,
     /// Curves in the order in which the blocks of a stage take turns.
@@ -101,6 +135,7 @@ impl PointTransformerV3Config {
     /// The language network: 11 inputs, 768 outputs, 91,712,800 parameters.
     pub fn language() -> Self {
         Self {
+            version: Version::M1,
             in_channels: 11,
             order: Curve::ALL.map(|c| c.name().to_owned()).to_vec(),
             stride: vec![2; 3],
@@ -132,6 +167,32 @@ impl PointTransformerV3Config {
     /// The self-supervised network: as for segmentation, with maximum pooling and a mask token.
     pub fn ssl() -> Self {
         Self { in_channels: 11, pooling: PoolingReduce::Max, mask_token: true, ..Self::semseg() }
+    }
+
+    /// The encoder of Sonata, of Concerto's base size and of Chorus: 108.5 million parameters, `PT-v3m2` without decoder,
+    /// whose output are its five scales side by side (1232 channels). Nine inputs are those of Sonata: position, color,
+    /// normal.
+    pub fn sonata() -> Self {
+        let encoder = [[3, 48, 3], [3, 96, 6], [3, 192, 12], [12, 384, 24], [3, 512, 32]];
+        let version = Version::M2;
+        Self { version, in_channels: 9, pooling: PoolingReduce::Max, ..Self::language() }
+            .with_stages(&encoder, &[], 1024)
+    }
+
+    /// [`sonata`](Self::sonata) with the decoder of its probes and fine-tuned networks, 64 outputs.
+    pub fn sonata_with_decoder() -> Self {
+        let sonata = Self::sonata();
+        let heads = sonata.enc_num_head.clone();
+        let encoder: Vec<[usize; 3]> =
+            (0..5).map(|s| [sonata.enc_depths[s], sonata.enc_channels[s], heads[s]]).collect();
+        let decoder = [[2, 64, 4], [2, 96, 6], [2, 192, 12], [2, 384, 24]];
+        sonata.with_stages(&encoder, &decoder, 1024)
+    }
+
+    /// The encoder of Concerto's large size: [`sonata`](Self::sonata), 64 to 768 channels wide.
+    pub fn concerto_large() -> Self {
+        let encoder = [[3, 64, 4], [3, 128, 8], [3, 256, 16], [12, 512, 32], [3, 768, 48]];
+        Self::sonata().with_stages(&encoder, &[], 1024)
     }
 
     /// A small language network (64 outputs) for trying things out.
@@ -203,9 +264,13 @@ impl PointTransformerV3Config {
                 linear(hidden, c),
             ])
         };
-        let norm = |c: usize| product(&[4, c]).saturating_add(1);
+        let norm = |c: usize| self.version.norm().num_values(c);
         let first = self.enc_channels.first().copied().unwrap_or(0);
-        let mut all = product(&[125, self.in_channels, first]).saturating_add(norm(first));
+        let stem = match self.version {
+            Version::M1 => product(&[125, self.in_channels, first]),
+            Version::M2 => linear(self.in_channels, first),
+        };
+        let mut all = stem.saturating_add(norm(first));
         all = all.saturating_add(if self.mask_token { first } else { 0 });
         let mut finer = None;
         for (&c, &depth) in self.enc_channels.iter().zip(&self.enc_depths) {
@@ -353,6 +418,10 @@ impl Architecture for PointTransformerV3Config {
     }
     fn adapt_to(&mut self, shapes: &Shapes) {
         self.in_channels = stem_inputs(shapes).unwrap_or(self.in_channels);
+        // Published with and without, after training with it.
+        if self.version == Version::M2 && !shapes.is_empty() {
+            self.mask_token = shapes.contains_key(self.version.mask_token());
+        }
     }
     fn fits(&self, shapes: &Shapes) -> bool {
         self.has_shapes(shapes)
@@ -401,6 +470,9 @@ mod tests {
             PointTransformerV3Config::semseg(),
             PointTransformerV3Config::ssl(),
             PointTransformerV3Config::tiny(),
+            PointTransformerV3Config::sonata(),
+            PointTransformerV3Config::sonata_with_decoder(),
+            PointTransformerV3Config::concerto_large(),
         ] {
             assert_eq!(c.check().unwrap().len(), 4);
         }

@@ -1,7 +1,7 @@
 //! What a pass of the network costs: memory, and multiply–adds on scenes as they are on average or on
 //! given voxels.
 
-use super::PointTransformerV3Config;
+use super::{PointTransformerV3Config, Version};
 use crate::multiply_adds::{BlockSize, MultiplyAdds, count};
 use crate::{LastStage, Shortcuts};
 use candle_core::Result;
@@ -83,7 +83,11 @@ impl PointTransformerV3Config {
         self.check()?;
         let folded = frozen && self.compute.fold;
         let (enc, dec) = (self.enc_channels.as_slice(), self.dec_channels.as_slice());
-        count(voxels, self.in_channels, &self.stride, [enc, dec], |stage, cloud| {
+        let stem = match self.version {
+            Version::M1 => 5,
+            Version::M2 => 1,
+        };
+        count(voxels, (stem, self.in_channels), &self.stride, [enc, dec], |stage, cloud| {
             let block = |c: usize, patch_size: usize, rank: Option<usize>| -> Result<f64> {
                 Ok(self.block_work(c, folded, &BlockSize::count(cloud, patch_size)?, rank))
             };

@@ -8,6 +8,9 @@
 //! each scene ([`BatchRule::Isolated`]), orders are shuffled only when asked for, attention is f32,
 //! and codes reach 21 bits an axis. Kept because weights were trained with it: the first convolution
 //! of each decoder stage reads the skip branch alone, pooling is a mean, there is no final norm.
+//! [`Version::M2`] is `PT-v3m2` of Pointcept d74c646 (Sonata, Concerto, Chorus) with its defaults: no layer scale, no
+//! relative positions, norms in front of attention and MLP. Differs in the same, and in the first values of a network
+//! that is trained from nothing, which are those of `PT-v3m1`.
 
 mod attention;
 mod block;
@@ -21,7 +24,7 @@ mod unpooling;
 
 pub use attention::{BatchRule, SerializedAttention};
 pub use block::{Block, BlockShape};
-pub use config::{PointTransformerV3Config, PoolingReduce};
+pub use config::{PointTransformerV3Config, PoolingReduce, Version};
 pub use embedding::Embedding;
 pub use pooling::SerializedPooling;
 pub use unpooling::{SerializedUnpooling, Unpooled};
@@ -123,11 +126,18 @@ impl PointTransformerV3 {
     pub fn new(config: &PointTransformerV3Config, vb: VarBuilder<'_>) -> Result<Self> {
         let curves = config.check()?;
         let (channels, compute) = (&config.enc_channels, config.compute);
-        let embedding =
-            Embedding::new(config.in_channels, channels[0], compute, vb.pp("embedding"))?;
+        let (version, norm) = (config.version, config.version.norm());
+        let first = match version {
+            Version::M1 => Embedding::convolution,
+            Version::M2 => Embedding::linear,
+        };
+        let embedding = first(config.in_channels, channels[0], compute, vb.pp("embedding"))?;
         let token = || {
-            let init = Init::Randn { mean: 0.0, stdev: 0.02 };
-            vb.get_with_hints((1, channels[0]), "mask_token", init)
+            let init = match version {
+                Version::M1 => Init::Randn { mean: 0.0, stdev: 0.02 },
+                Version::M2 => Init::Const(0.0),
+            };
+            vb.get_with_hints((1, channels[0]), version.mask_token(), init)
         };
         let mask_token = config.mask_token.then(token).transpose()?;
         let mut encoder = Vec::new();
@@ -136,7 +146,7 @@ impl PointTransformerV3 {
             let down = || {
                 let (fine, coarse) = (channels[stage - 1], channels[stage]);
                 let (stride, how) = (config.stride[stage - 1], config.pooling.into());
-                SerializedPooling::new(fine, coarse, stride, how, compute, vb.pp("down"))
+                SerializedPooling::new(fine, coarse, stride, how, norm, compute, vb.pp("down"))
             };
             let down = (stage > 0).then(down).transpose()?;
             encoder.push(EncoderStage { down, blocks: blocks(shapes, None, &vb)? });
@@ -148,6 +158,7 @@ impl PointTransformerV3 {
                 channels_below(channels, &config.dec_channels, stage),
                 channels[stage],
                 config.dec_channels[stage],
+                norm,
                 compute,
                 vb.pp("up"),
             )?;
@@ -298,7 +309,8 @@ impl PointTransformerV3 {
         cx.observe(&format!("dec.dec{i}.up"), &sum)?;
         cx.observe(&format!("dec.dec{i}.up.skip"), &skip)?;
         drop((coarse, fine));
-        let (mut x, mut conv_input) = (sum, Some(skip));
+        let skip_alone = self.config.version == Version::M1;
+        let (mut x, mut conv_input) = (sum, skip_alone.then_some(skip));
         for (j, block) in stage.blocks.iter().enumerate() {
             let name = format!("dec.dec{i}.block{j}");
             let mut block = Arc::clone(block);

@@ -1,6 +1,6 @@
 //! From one scale to the next coarser one, with its orders.
 
-use crate::layers::CellPooling;
+use crate::layers::{CellPooling, NormKind};
 use crate::{Compute, Forward};
 use candle_core::{Result, Tensor};
 use candle_nn::VarBuilder;
@@ -8,7 +8,7 @@ use scenesplat_kernels::segment::{Groups, Reduce};
 use scenesplat_kernels::serialized_cloud::SerializedCloud;
 use std::sync::Arc;
 
-/// Linear, reduction of the voxels that fall together, batch norm, GELU.
+/// Linear, reduction of the voxels that fall together, norm, GELU.
 #[derive(Debug)]
 pub struct SerializedPooling {
     pooling: CellPooling,
@@ -25,10 +25,11 @@ impl SerializedPooling {
         channels: usize,
         stride: usize,
         reduce: Reduce,
+        norm: NormKind,
         compute: Compute,
         vb: VarBuilder<'_>,
     ) -> Result<Self> {
-        let pooling = CellPooling::new(in_channels, channels, reduce, compute, vb)?;
+        let pooling = CellPooling::new(in_channels, channels, reduce, norm, compute, vb)?;
         Ok(Self { pooling, shift: stride.trailing_zeros() })
     }
 

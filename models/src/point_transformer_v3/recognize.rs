@@ -1,7 +1,7 @@
 //! Whether a checkpoint holds a network of this shape.
 
-use super::PointTransformerV3Config;
-use crate::stages::{has, has_scales};
+use super::{PointTransformerV3Config, Version};
+use crate::stages::{LINEAR_STEM, STEM, has, has_scales};
 use crate::weights::Shapes;
 
 impl PointTransformerV3Config {
@@ -9,7 +9,13 @@ impl PointTransformerV3Config {
     /// do not show (heads, patches, curves, pooling) is not asked.
     pub(super) fn has_shapes(&self, shapes: &Shapes) -> bool {
         let channels = [self.enc_channels.as_slice(), &self.dec_channels];
-        let scales = has_scales(shapes, self.in_channels, channels, |half, s| {
+        let (first, inputs) = (self.enc_channels[0], self.in_channels);
+        let (convolution, linear) = ([first, 5, 5, 5, inputs], [first, inputs]);
+        let stem: (&str, &[usize]) = match self.version {
+            Version::M1 => (STEM, &convolution),
+            Version::M2 => (LINEAR_STEM, &linear),
+        };
+        let scales = has_scales(shapes, stem, channels, |half, s| {
             let (depth, c) = match half {
                 "enc" => (self.enc_depths[s], self.enc_channels[s]),
                 _ => (self.dec_depths[s], self.dec_channels[s]),
@@ -18,14 +24,13 @@ impl PointTransformerV3Config {
             (0..depth).all(|block| has(shapes, &qkv(block), &[3 * c, c]))
                 && !shapes.contains_key(&qkv(depth))
         });
-        scales && shapes.contains_key("mask_token") == self.mask_token
+        scales && shapes.contains_key(self.version.mask_token()) == self.mask_token
     }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::stages::STEM;
     use crate::{ModelConfig, ParamStore};
 
     fn shapes(model: &ModelConfig) -> Shapes {

@@ -1,6 +1,6 @@
 //! From one scale back to the next finer one.
 
-use crate::layers::LinearNorm;
+use crate::layers::{LinearNorm, NormKind};
 use crate::ops;
 use crate::{Compute, Forward};
 use candle_core::{Result, Tensor};
@@ -33,14 +33,15 @@ impl SerializedUnpooling {
         in_channels: usize,
         skip_channels: usize,
         channels: usize,
+        norm: NormKind,
         compute: Compute,
         vb: VarBuilder<'_>,
     ) -> Result<Self> {
         let (proj, skip) = (vb.pp("proj"), vb.pp("proj_skip"));
-        Ok(Self {
-            proj: LinearNorm::new(compute, in_channels, channels, proj.pp("0"), proj.pp("1"))?,
-            skip: LinearNorm::new(compute, skip_channels, channels, skip.pp("0"), skip.pp("1"))?,
-        })
+        let layer = |inputs, vb: VarBuilder<'_>| {
+            LinearNorm::new(compute, norm, inputs, channels, vb.pp("0"), vb.pp("1"))
+        };
+        Ok(Self { proj: layer(in_channels, proj)?, skip: layer(skip_channels, skip)? })
     }
 
     /// The sum alone, of [`forward`](Self::forward).

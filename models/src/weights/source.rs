@@ -130,6 +130,61 @@ impl WeightSource {
         Ok(self)
     }
 
+    /// With one of the language heads that a checkpoint has under names, `projection.NAME.weight` and `.bias`, as the
+    /// head `projection`; the others are ignored. Without change where there are none.
+    ///
+    /// # Errors
+    /// If there are several and none is chosen, or the chosen one is not among them; names all with their widths.
+    pub fn with_head(mut self, head: Option<&str>) -> Result<Self> {
+        let shapes = self.shapes();
+        let name_of = |entry: &str| {
+            entry.strip_prefix("projection.")?.strip_suffix(".weight").map(str::to_owned)
+        };
+        let heads: BTreeMap<String, usize> = shapes
+            .iter()
+            .filter_map(|(entry, shape)| Some((name_of(entry)?, *shape.first()?)))
+            .collect();
+        let list = || {
+            let each: Vec<String> =
+                heads.iter().map(|(name, wide)| format!("{name} ({wide})")).collect();
+            each.join(", ")
+        };
+        let chosen = match (head, heads.len()) {
+            (None, 0) => return Ok(self),
+            (None, 1) => heads.keys().next().cloned().unwrap_or_default(),
+            (None, _) => bail!(
+                "the weights have several language heads, {}: choose one with --head NAME",
+                list()
+            ),
+            (Some(head), 0) => {
+                bail!("--head {head}: the weights have no named heads (projection.NAME.weight)")
+            }
+            (Some(head), _) if !heads.contains_key(head) => {
+                bail!("--head {head}: the weights have the language heads {}", list())
+            }
+            (Some(head), _) => head.to_owned(),
+        };
+        if let Kind::Files { entries, ignored, .. } = &mut self.0 {
+            for (name, entry) in std::mem::take(entries) {
+                let own = name.strip_prefix("projection.").and_then(|rest| rest.rsplit_once('.'));
+                match own {
+                    Some((head, _)) if heads.contains_key(head) && head != chosen => {
+                        ignored.push((entry.1, "another language head".to_owned()));
+                    }
+                    Some((head, part)) if head == chosen => {
+                        if let Some((_, other)) =
+                            entries.insert(format!("projection.{part}"), entry)
+                        {
+                            bail!("{other} and {name} both name the head of language features");
+                        }
+                    }
+                    _ => _ = entries.insert(name, entry),
+                }
+            }
+        }
+        Ok(self)
+    }
+
     /// The prefix that [`unwrapped`](Self::unwrapped) found.
     pub(crate) fn wrapper(&self) -> Option<&str> {
         match &self.0 {

@@ -67,7 +67,7 @@ impl Teacher {
             return Err(ExperimentError::setting("config", problem));
         }
         let options = WeightOptions::default();
-        let of_weights = network_of(&weights, choice.as_ref(), options)?;
+        let of_weights = network_of(&weights, choice.as_ref(), &options)?;
         let precision = config::precision(&config.precision)?;
         let compute = Compute { precision, ..of_weights.model.backbone.get().compute() };
         let network = Network::load(of_weights.clone().with_compute(compute), &weights, options)?;

@@ -56,7 +56,7 @@ fn prototypes(balance: Balance) -> Prototypes {
 }
 
 fn masked_gaussians(distance: GaussianDistance) -> TermConfig {
-    TermConfig::MaskedGaussians(MaskedGaussiansTerm { weight: 1.0, distance })
+    TermConfig::MaskedGaussians(MaskedGaussiansTerm { distance, ..MaskedGaussiansTerm::default() })
 }
 
 fn simdino() -> TermConfig {

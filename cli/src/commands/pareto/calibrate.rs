@@ -47,7 +47,7 @@ pub fn calibrate(args: &Args) -> Result<()> {
     let progress = Progress::start(&args.running)?;
     let weights = args.network.weights()?;
     let options = WeightOptions::default();
-    let native = network_of(&weights, args.network.config.as_ref(), options)?.model.grid_size;
+    let native = network_of(&weights, args.network.config.as_ref(), &options)?.model.grid_size;
     let (grid, settings) =
         args.grid_or(|| Grid::calibration(native).map_err(|e| WrongUse(e.to_string())))?;
     if settings.iter().any(|s| s.net.is_some()) {

@@ -23,7 +23,7 @@ pub struct Args {
     /// The scan: its folder; of matterport3d a regionN.ply; of points a .ply.
     #[arg(long, value_name = "PATH")]
     pub scan: PathBuf,
-    /// How its files are laid out: scannet, scannetpp, matterport3d, replica, 3rscan, arkitscenes, hypersim, or
+    /// How its files are laid out: scannet, scannetpp, matterport3d, replica, 3rscan, arkitscenes, hypersim, interiorgs, or
     /// points.
     #[arg(long, value_name = "LAYOUT", value_parser = parse_layout)]
     pub layout: ScanLayout,

@@ -4,6 +4,7 @@
 //!
 //! | name | arguments, with what is taken where they are left out |
 //! |---|---|
+//! | `effect-costs` | rooms (12), Gaussians of each (40,000); writes `assets/embedded/effect_costs.json` |
 //! | `effect-thresholds` | folder, first seed, rooms, effects (all) |
 //! | `embedded-assets` | folders of models, whose mean is taken; `SCENESPLAT_FURNITURE` |
 //! | `objects-of-rooms` | rooms (20), seed (2026) |
@@ -14,6 +15,7 @@
 //! | `self-supervised-terms` | experiment, steps (5), sums of terms (all) |
 //! | `yardsticks` | `fit` or `check` |
 
+mod effect_costs;
 mod effect_thresholds;
 mod embedded_assets;
 mod objects_of_rooms;
@@ -55,6 +57,7 @@ fn main() -> Result<()> {
     let mut args = Arguments(std::env::args().skip(1));
     let name = args.word().context("which measurement? See the head of this program.")?;
     match name.as_str() {
+        "effect-costs" => effect_costs::run(args),
         "effect-thresholds" => effect_thresholds::run(args),
         "embedded-assets" => embedded_assets::run(args),
         "objects-of-rooms" => objects_of_rooms::run(args),

@@ -64,7 +64,7 @@ pub fn run(mut args: Arguments) -> anyhow::Result<()> {
         _ => Weights::Embedded,
     };
     let wanted = args.word().unwrap_or_default();
-    let config = network_of(&weights, None, WeightOptions::default())?;
+    let config = network_of(&weights, None, &WeightOptions::default())?;
     let network = Network::load(config, &weights, WeightOptions::default())?;
     let texts = embedded::vocabulary()?.class_table();
     let excluded = background(&LabelSet::new(texts.names.clone())?);

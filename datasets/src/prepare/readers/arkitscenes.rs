@@ -1,32 +1,12 @@
 //! ARKitScenes: a mesh and upright boxes around furniture; a vertex has the name of the smallest box it is in.
 
 use super::super::scan::{Names, ScanPoints, items, normals, read_json, vertices};
+use super::boxes::{Box3, label};
 use super::id_of;
 use crate::DataError;
 use scenesplat_scene::formats::ply::PlyFile;
-use scenesplat_scene::vector::dot;
 use serde_json::Value;
 use std::path::Path;
-
-struct Box3 {
-    center: [f64; 3],
-    /// Half of the lengths.
-    half: [f64; 3],
-    /// Unit directions of the sides, one a row.
-    axes: [[f64; 3]; 3],
-    name: i32,
-}
-
-impl Box3 {
-    fn contains(&self, p: [f32; 3]) -> bool {
-        let to = [0, 1, 2].map(|k| f64::from(p[k]) - self.center[k]);
-        (0..3).all(|i| dot(self.axes[i], to).abs() <= self.half[i])
-    }
-
-    fn volume(&self) -> f64 {
-        self.half.iter().product()
-    }
-}
 
 pub(super) fn read(folder: &Path) -> Result<ScanPoints, DataError> {
     let id = id_of(folder);
@@ -57,14 +37,7 @@ pub(super) fn read(folder: &Path) -> Result<ScanPoints, DataError> {
         });
     }
     let coord = vertices(&mesh)?;
-    let smallest = |p: &[f32; 3]| {
-        let inside = (0..).zip(&boxes).filter(|(_, b)| b.contains(*p));
-        inside.min_by(|(_, a), (_, b)| a.volume().total_cmp(&b.volume()))
-    };
-    let found: Vec<_> = coord.iter().map(smallest).collect();
-    let raw = found.iter().map(|b| b.as_ref().map_or(-1, |(_, b)| b.name)).collect();
-    let instance = found.iter().map(|b| b.as_ref().map_or(-1, |(number, _)| *number)).collect();
-    drop(found);
+    let (raw, instance) = label(&coord, &boxes);
     let normal = normals(&mesh, &coord)?;
     Ok(ScanPoints { coord, normal, raw, names: names.list, instance })
 }

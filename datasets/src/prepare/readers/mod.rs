@@ -1,7 +1,9 @@
 //! Layouts of benchmarks, one a file.
 
 mod arkitscenes;
+mod boxes;
 mod hypersim;
+mod interiorgs;
 mod matterport3d;
 mod points;
 mod replica;
@@ -37,13 +39,15 @@ pub enum ScanLayout {
     /// `frame.IIII.{position,semantic,semantic_instance}.hdf5`, `normal_world` too where it is there: pixels, of which
     /// each cube of 2 cm becomes one point.
     Hypersim,
+    /// A folder with `3dgs_compressed.ply` and `labels.json`: boxes around things, of Gaussians instead of points.
+    InteriorGs,
     /// A PLY file whose vertices have a number `segment` or `label`, and perhaps `instance`.
     Points,
 }
 
 impl ScanLayout {
     /// All of them.
-    pub const ALL: [Self; 8] = [
+    pub const ALL: [Self; 9] = [
         Self::Scannet,
         Self::ScannetPp,
         Self::Matterport3d,
@@ -51,6 +55,7 @@ impl ScanLayout {
         Self::ThreeRScan,
         Self::Arkitscenes,
         Self::Hypersim,
+        Self::InteriorGs,
         Self::Points,
     ];
 
@@ -64,6 +69,7 @@ impl ScanLayout {
             Self::ThreeRScan => "3rscan",
             Self::Arkitscenes => "arkitscenes",
             Self::Hypersim => "hypersim",
+            Self::InteriorGs => "interiorgs",
             Self::Points => "points",
         }
     }
@@ -82,6 +88,7 @@ pub fn read_scan(path: &Path, layout: ScanLayout) -> Result<ScanPoints, DataErro
         ScanLayout::ThreeRScan => three_r_scan::read(path),
         ScanLayout::Arkitscenes => arkitscenes::read(path),
         ScanLayout::Hypersim => hypersim::read(path),
+        ScanLayout::InteriorGs => interiorgs::read(path),
         ScanLayout::Points => points::read(path),
     }
 }

@@ -2,6 +2,8 @@
 #![allow(clippy::unwrap_used, reason = "a test may fail loudly")]
 
 use super::*;
+use scenesplat_scene::GaussianScene;
+use scenesplat_scene::formats::{SceneFormat, WriteOptions, write_scene};
 use serde_json::json;
 use std::path::PathBuf;
 use tempfile::TempDir;
@@ -229,6 +231,54 @@ fn arkitscenes() {
     assert_eq!(scan.instance, [0, 0, 1, 0, -1, -1, -1]);
     mini.json(annotation, &json!({"data": [item("bed", [0.0; 3], [1.0; 3], json!([1, 0]))]}));
     refused(&folder, ScanLayout::Arkitscenes, &["data[0] has no normalizedAxes"]);
+}
+
+#[test]
+fn interiorgs() {
+    let mini = Mini::new();
+    let folder = mini.0.path().join("0001_839920");
+    // Two Gaussians in a table, one of them in the cup on it, one on the edge of the table, one outside.
+    let scene = GaussianScene {
+        coord: vec![[1.0, 1.0, 0.3], [1.0, 1.0, 0.75], [2.005, 1.0, 0.3], [3.0, 1.0, 0.3]],
+        log_scale: vec![[-4.0; 3]; 4],
+        quat: vec![[1.0, 0.0, 0.0, 0.0]; 4],
+        opacity_logit: vec![2.0; 4],
+        sh_dc: vec![[0.5; 3]; 4],
+        ..GaussianScene::default()
+    };
+    std::fs::create_dir_all(&folder).unwrap();
+    let (path, options) = (folder.join("3dgs_compressed.ply"), WriteOptions::default());
+    write_scene(&scene, &path, SceneFormat::CompressedPly, &options, &mut |_| true).unwrap();
+    let labels = "0001_839920/labels.json";
+    // Corners of upright boxes in no order, turned about z; a picture is flat.
+    let item = |label: &str, center: [f64; 2], half: [f64; 2], z: [f64; 2], turn: f64| {
+        let corner = |i: usize| {
+            let [x, y] = [0, 1].map(|k| if i >> k & 1 == 1 { half[k] } else { -half[k] });
+            let (sin, cos) = turn.sin_cos();
+            json!({"x": center[0] + cos * x - sin * y, "y": center[1] + sin * x + cos * y, "z": z[i >> 2]})
+        };
+        let corners: Vec<_> = [5, 0, 3, 6, 1, 7, 2, 4].map(corner).to_vec();
+        json!({"ins_id": "7", "label": label, "bounding_box": corners})
+    };
+    mini.json(
+        labels,
+        &json!([
+            item("table", [1.0, 1.0], [1.0, 0.5], [0.0, 0.8], 0.0),
+            // Long along (1, 1): holds what is in its middle alone.
+            item("cup", [1.0, 1.0], [0.4, 0.02], [0.7, 0.8], std::f64::consts::FRAC_PI_4),
+            item("picture", [3.0, 1.0], [0.3, 0.0], [0.0, 0.8], 0.3)
+        ]),
+    );
+    let scan = read_scan(&folder, ScanLayout::InteriorGs).unwrap();
+    assert_eq!(named(&scan), ["table", "cup", "table", "picture"]);
+    assert_eq!(scan.instance, [0, 1, 0, 2]);
+    assert_eq!(scan.names, ["table", "cup", "picture"]);
+    let mut skewed = item("bed", [0.0; 2], [1.0; 2], [0.0, 1.0], 0.0);
+    skewed["bounding_box"][3]["x"] = json!(1.5);
+    mini.json(labels, &json!([skewed]));
+    refused(&folder, ScanLayout::InteriorGs, &["labels.json", "bed", "not those of a box"]);
+    mini.json(labels, &json!([{"label": "bed", "bounding_box": [{"x": 0, "y": 0, "z": 0}]}]));
+    refused(&folder, ScanLayout::InteriorGs, &["labels[0] has no bounding_box of eight corners"]);
 }
 
 /// A copy of the miniature that the HDF5 library wrote (`benches/pytorch/hypersim_miniature.py`).

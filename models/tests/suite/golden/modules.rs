@@ -6,6 +6,7 @@ use candle_core::{Tensor, Var};
 use scenesplat_kernels::segment::{Groups, Reduce, reduce};
 use scenesplat_kernels::serialization::Curve;
 use scenesplat_kernels::serialized_cloud::{CurveDepth, SerializedCloud};
+use scenesplat_models::layers::NormKind;
 use scenesplat_models::point_transformer_v3::{
     BatchRule, Block, BlockShape, Embedding, SerializedAttention, SerializedPooling,
     SerializedUnpooling,
@@ -116,7 +117,7 @@ pub fn block() {
 pub fn embedding() {
     let Some((g, store)) = open("e_embedding") else { return };
     let cloud = cloud(&g);
-    let module = Embedding::new(
+    let module = Embedding::convolution(
         g.number("in_channels"),
         g.number("embed_channels"),
         Compute::default(),
@@ -140,6 +141,7 @@ pub fn pooling() {
             g.number("out_channels"),
             g.number("stride"),
             how,
+            NormKind::Batch,
             Compute::default(),
             store.builder(),
         )
@@ -172,6 +174,7 @@ pub fn unpooling() {
         g.number("in_channels"),
         g.number("skip_channels"),
         g.number("out_channels"),
+        NormKind::Batch,
         Compute::default(),
         store.builder(),
     )

@@ -7,7 +7,7 @@ use super::slow;
 use rand::Rng;
 use rand_chacha::ChaCha8Rng;
 use scenesplat_kernels::Precision;
-use scenesplat_models::layers::{BatchNorm, BatchNormConstants, Linear, LinearNorm};
+use scenesplat_models::layers::{BatchNorm, BatchNormConstants, Linear, LinearNorm, NormKind};
 use scenesplat_models::{Compute, Mode};
 
 const ROWS: usize = 14;
@@ -74,7 +74,9 @@ pub fn linear_norm() {
     for mode in [Mode::Train, Mode::Eval] {
         let store = store();
         let vb = store.builder();
-        let layer = LinearNorm::new(Compute::default(), 5, 6, vb.pp("0"), vb.pp("1")).unwrap();
+        let layer =
+            LinearNorm::new(Compute::default(), NormKind::Batch, 5, 6, vb.pp("0"), vb.pp("1"))
+                .unwrap();
         let x = var("x", &[ROWS, 5]);
         let given = Statistics::of(&store, "1.", mode);
         let out = layer.forward(&x, mode).unwrap();

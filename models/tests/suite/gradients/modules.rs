@@ -11,6 +11,7 @@ use scenesplat_kernels::patch_attention::Heads;
 use scenesplat_kernels::segment::Reduce;
 use scenesplat_kernels::serialization::Curve;
 use scenesplat_kernels::serialized_cloud::{CurveDepth, SerializedCloud};
+use scenesplat_models::layers::NormKind;
 use scenesplat_models::point_transformer_v3::{
     BatchRule, Block, BlockShape, Embedding, SerializedAttention, SerializedPooling,
     SerializedUnpooling,
@@ -121,7 +122,7 @@ pub fn blocks() {
 pub fn embedding() {
     for mode in [Mode::Train, Mode::Eval] {
         let (cloud, store) = (cloud(), store());
-        let module = Embedding::new(2, 4, Compute::default(), store.builder()).unwrap();
+        let module = Embedding::convolution(2, 4, Compute::default(), store.builder()).unwrap();
         let given = Statistics::of(&store, "stem.norm.", mode);
         let x = var("x", &[cloud.len(), 2]);
         let mut rng = rng(4);
@@ -140,9 +141,16 @@ pub fn pooling() {
     for mode in [Mode::Train, Mode::Eval] {
         for (how, stride) in [(Reduce::Mean, 2), (Reduce::Max, 2), (Reduce::Mean, 4)] {
             let (cloud, store) = (cloud(), store());
-            let module =
-                SerializedPooling::new(3, 5, stride, how, Compute::default(), store.builder())
-                    .unwrap();
+            let module = SerializedPooling::new(
+                3,
+                5,
+                stride,
+                how,
+                NormKind::Batch,
+                Compute::default(),
+                store.builder(),
+            )
+            .unwrap();
             let given = Statistics::of(&store, "norm.0.", mode);
             let x = var("x", &[cloud.len(), 3]);
             let mut rng = rng(4);
@@ -167,7 +175,8 @@ pub fn unpooling() {
         let (_, groups) = cloud.pool(1);
         let groups = Arc::new(groups);
         let module =
-            SerializedUnpooling::new(4, 3, 5, Compute::default(), store.builder()).unwrap();
+            SerializedUnpooling::new(4, 3, 5, NormKind::Batch, Compute::default(), store.builder())
+                .unwrap();
         let statistics = ["proj.1.", "proj_skip.1."].map(|norm| Statistics::of(&store, norm, mode));
         let (coarse, fine) = (var("coarse", &[groups.len(), 4]), var("fine", &[cloud.len(), 3]));
         let mut rng = rng(4);

@@ -8,4 +8,5 @@ mod point_networks;
 mod precision;
 mod rasterize;
 mod recompute;
+mod second_version;
 mod shortcuts;

@@ -75,3 +75,44 @@ fn of_two_networks_the_half_that_was_chosen_is_taken() {
     let error = opened(&pair("a.", "b."), Branch::Teacher).unwrap_err().to_string();
     assert!(error.contains("a. and b."), "{error}");
 }
+
+#[test]
+fn one_of_several_language_heads_is_chosen_by_name() {
+    let head = |wide: usize| Tensor::full(wide as f32, (wide, 4), &Device::Cpu).unwrap();
+    let with = |heads: &[(&str, usize)]| {
+        let mut all = values(3, |name| format!("module.{name}"));
+        for (name, wide) in heads {
+            all.insert(format!("module.projection.{name}.weight"), head(*wide));
+            let bias = head(*wide).narrow(1, 0, 1).unwrap().flatten_all().unwrap();
+            all.insert(format!("module.projection.{name}.bias"), bias);
+        }
+        opened(&all, Branch::Teacher).unwrap()
+    };
+    let two = || with(&[("lang", 768), ("siglip2", 1152)]);
+    for (name, wide) in [("lang", 768), ("siglip2", 1152)] {
+        let chosen = two().with_head(Some(name)).unwrap();
+        let shapes = chosen.shapes();
+        assert_eq!(shapes["projection.weight"], [wide, 4]);
+        assert_eq!(shapes["projection.bias"], [wide]);
+        assert!(!shapes.keys().any(|n| n.starts_with("projection.lang")), "{shapes:?}");
+        // The values are those of the head, and the report counts the other as left out.
+        let store = ParamStore::trainable_from(chosen, 0);
+        let weight = store.builder().get((wide, 4), "projection.weight").unwrap();
+        assert_eq!(weight.max_all().unwrap().to_scalar::<f32>().unwrap(), wide as f32);
+        let report = store.report().to_string();
+        assert!(report.contains("another language head"), "{report}");
+    }
+    let error =
+        |source: WeightSource, head: Option<&str>| source.with_head(head).unwrap_err().to_string();
+    for (text, part) in [
+        (error(two(), None), "lang (768), siglip2 (1152)"),
+        (error(two(), Some("dino")), "--head dino"),
+        (error(with(&[]), Some("lang")), "no named heads"),
+    ] {
+        assert!(text.contains(part), "{text}");
+    }
+    // The only one needs no name; without any nothing changes.
+    let one = with(&[("lang", 768)]).with_head(None).unwrap().shapes();
+    assert_eq!(one["projection.weight"], [768, 4]);
+    assert_eq!(with(&[]).with_head(None).unwrap().shapes(), with(&[]).shapes());
+}

@@ -164,6 +164,18 @@ pub enum Balance {
     SinkhornKnopp(usize),
 }
 
+/// What predicts the attributes of a masked Gaussian.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum GaussianHeads {
+    /// One head for all, without activation, as the released code.
+    #[default]
+    Joint,
+    /// Three layers for each with an activation, as the paper says: hyperbolic tangent for colors and normals, logistic
+    /// function for opacities and colors in 0 to 1, unit length for rotations; sizes and places are any number.
+    PerAttribute,
+}
+
 settings! {
     /// Masked Gaussian modeling.
     pub struct MaskedGaussiansTerm {
@@ -171,6 +183,8 @@ settings! {
         pub weight: f64 = 1.0,
         /// How far a reconstruction is from the Gaussian. `fitted` compares logarithms of sizes.
         pub distance: GaussianDistance = GaussianDistance::MeanSquare,
+        /// What predicts the attributes.
+        pub heads: GaussianHeads = GaussianHeads::Joint,
     }
 
     /// SimDINO.

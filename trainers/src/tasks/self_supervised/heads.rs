@@ -1,10 +1,11 @@
 //! The heads of student and teacher for each term.
 
-use super::config::{Prototypes, TermConfig};
+use super::config::{GaussianHeads, Prototypes, TermConfig};
 use candle_core::{Result, Tensor, bail};
-use scenesplat_datasets::InputFeatures;
+use scenesplat_datasets::{InputChannel, InputFeatures};
 use scenesplat_models::self_supervised_heads::{
-    ProjectionHead, ProjectionShape, PrototypeHead, ReconstructionHead,
+    AttributeHeads, AttributeRange, ProjectionHead, ProjectionShape, PrototypeHead,
+    ReconstructionHead,
 };
 use scenesplat_models::{Compute, ModelConfig, ParamStore, PointTransformerV3Config};
 
@@ -18,8 +19,8 @@ pub(super) struct Widths {
     pub rows: usize,
     /// Channels of the encoder's scales, fine to coarse.
     pub encoder: Vec<usize>,
-    /// Input channels: what is reconstructed.
-    pub input: usize,
+    /// Groups of input channels: what is reconstructed.
+    pub input: Vec<InputChannel>,
 }
 
 impl Widths {
@@ -29,7 +30,7 @@ impl Widths {
         input: &InputFeatures,
     ) -> Self {
         let encoder = backbone.enc_channels.clone();
-        Self { rows: model.out_channels(), encoder, input: input.width() }
+        Self { rows: model.out_channels(), encoder, input: input.channels.clone() }
     }
 }
 
@@ -37,6 +38,7 @@ impl Widths {
 #[derive(Debug, Clone)]
 pub(super) enum Head {
     Attributes(ReconstructionHead),
+    EachAttribute(AttributeHeads),
     Vectors(ProjectionHead),
     Logits(PrototypeHead),
     Pair(Box<Pair>),
@@ -72,9 +74,19 @@ impl Head {
             Ok(widths.encoder[level..].iter().sum())
         };
         Ok(match term {
-            TermConfig::MaskedGaussians(_) => {
-                Self::Attributes(ReconstructionHead::new(widths.rows, widths.input, compute, &vb)?)
-            }
+            TermConfig::MaskedGaussians(t) => match t.heads {
+                GaussianHeads::Joint => {
+                    let width = widths.input.iter().map(|channel| channel.width()).sum();
+                    Self::Attributes(ReconstructionHead::new(widths.rows, width, compute, &vb)?)
+                }
+                GaussianHeads::PerAttribute => {
+                    let each = widths.input.iter().map(|channel| {
+                        let (name, range) = attribute(*channel);
+                        (name, channel.width(), range)
+                    });
+                    Self::EachAttribute(AttributeHeads::new(widths.rows, each, compute, &vb)?)
+                }
+            },
             TermConfig::LanguageAlignment(t) => Self::Attributes(ReconstructionHead::with_hidden(
                 widths.rows,
                 t.hidden,
@@ -114,6 +126,7 @@ impl Head {
     pub fn attributes(&self, x: &Tensor) -> Result<Tensor> {
         match self {
             Self::Attributes(head) => head.forward(x),
+            Self::EachAttribute(heads) => heads.forward(x),
             _ => bail!("this head gives no attributes"),
         }
     }
@@ -124,6 +137,7 @@ impl Head {
             Self::Vectors(head) => head.forward(x),
             Self::Logits(head) => head.forward(x),
             Self::Attributes(head) => head.forward(x),
+            Self::EachAttribute(heads) => heads.forward(x),
             Self::Pair(_) => bail!("this term has one head for each kind of view"),
         }
     }
@@ -135,6 +149,20 @@ impl Head {
             Some(head) => head.forward(x),
             None => bail!("there is no head for such views: their share is 0"),
         }
+    }
+}
+
+/// Name and range of an attribute.
+fn attribute(channel: InputChannel) -> (&'static str, AttributeRange) {
+    match channel {
+        InputChannel::Color => ("color", AttributeRange::Signed),
+        InputChannel::UnitColor => ("unit_color", AttributeRange::Unit),
+        InputChannel::Opacity => ("opacity", AttributeRange::Unit),
+        InputChannel::Quat => ("quat", AttributeRange::Direction),
+        InputChannel::Scale => ("scale", AttributeRange::Any),
+        InputChannel::Normal => ("normal", AttributeRange::Signed),
+        InputChannel::Height => ("height", AttributeRange::Any),
+        InputChannel::Position => ("position", AttributeRange::Any),
     }
 }
 

@@ -12,9 +12,9 @@ mod teacher;
 mod terms;
 
 pub use config::{
-    Balance, Compat, DinoTerm, Export, IbotCrossEntropyTerm, IbotTerm, LanguageAlignmentTerm,
-    MaskedGaussiansTerm, Prototypes, SelfDistillationTerm, SelfSupervisedConfig, SimDinoRowsTerm,
-    SimDinoTerm, TermConfig,
+    Balance, Compat, DinoTerm, Export, GaussianHeads, IbotCrossEntropyTerm, IbotTerm,
+    LanguageAlignmentTerm, MaskedGaussiansTerm, Prototypes, SelfDistillationTerm,
+    SelfSupervisedConfig, SimDinoRowsTerm, SimDinoTerm, TermConfig,
 };
 pub use module::{SelfSupervised, is_head};
 pub use reconstruct::Reconstructor;

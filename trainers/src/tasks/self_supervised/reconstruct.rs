@@ -107,7 +107,7 @@ fn size_of_log(log: f32) -> f32 {
 
 #[cfg(test)]
 mod tests {
-    use super::super::{IbotTerm, MaskedGaussiansTerm};
+    use super::super::{GaussianHeads, IbotTerm, MaskedGaussiansTerm};
     use super::*;
     use candle_core::Device;
     use scenesplat_models::PointTransformerV3Config;
@@ -135,7 +135,10 @@ mod tests {
     }
 
     fn term(distance: GaussianDistance) -> TermConfig {
-        TermConfig::MaskedGaussians(MaskedGaussiansTerm { weight: 1.0, distance })
+        TermConfig::MaskedGaussians(MaskedGaussiansTerm {
+            distance,
+            ..MaskedGaussiansTerm::default()
+        })
     }
 
     #[test]
@@ -173,6 +176,32 @@ mod tests {
             let want: Vec<f32> = [vec![0.25; 8], vec![size; 3]].concat();
             assert_eq!(rows, want.repeat(2), "{distance:?}");
         }
+    }
+
+    #[test]
+    fn heads_of_each_attribute_stay_in_its_range() {
+        let (params, input) = (ParamStore::trainable(1), InputFeatures::default());
+        let own = MaskedGaussiansTerm {
+            heads: GaussianHeads::PerAttribute,
+            ..MaskedGaussiansTerm::default()
+        };
+        let config = config(vec![TermConfig::MaskedGaussians(own)]);
+        let made = Reconstructor::new(&config, &model(), &input, &params, &params).unwrap();
+        // The last layers give their bias: 3 everywhere.
+        for (name, var) in params.parameters() {
+            let Some(part) = name.strip_prefix("heads.masked_gaussians.") else { continue };
+            if part.ends_with("4.weight") {
+                var.set(&var.zeros_like().unwrap()).unwrap();
+            } else if part.ends_with("4.bias") {
+                var.set(&(var.ones_like().unwrap() * 3.0).unwrap()).unwrap();
+            }
+        }
+        let rows = made.rows(&batch(40), &[vec![true], vec![false; 39]].concat()).unwrap();
+        // Color by the hyperbolic tangent, opacity by the logistic function, a rotation of unit length, sizes as they are.
+        let (tanh, logistic) = (3f32.tanh(), 1.0 / (1.0 + (-3f32).exp()));
+        let want = [&[tanh; 3][..], &[logistic], &[0.5; 4], &[3.0; 3]].concat();
+        assert_eq!(rows.len(), want.len());
+        assert!(rows.iter().zip(&want).all(|(a, b)| (a - b).abs() < 1e-6), "{rows:?} {want:?}");
     }
 
     #[test]

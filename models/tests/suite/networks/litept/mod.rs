@@ -3,5 +3,5 @@
 mod behaviour;
 pub mod numerics;
 mod published;
-mod reference;
-mod scenes;
+pub mod reference;
+pub mod scenes;

@@ -1,6 +1,6 @@
 //! Outputs and gradients beside those of the formulas.
 
-use super::reference::{Reference, Values};
+use super::reference::{Formulas, Reference, Values};
 use super::scenes::{decoded, frozen, plain, room, trainable};
 use crate::support::devices::elsewhere;
 use crate::support::{Scene, batch, flat, gradients, rng};
@@ -25,11 +25,17 @@ fn reference<'a>(config: &'a LitePtConfig, orders: &Orders) -> Reference<'a> {
         Orders::Given(p) => Some(p.clone()),
         _ => None,
     };
-    Reference { config, values: Values::default(), train: false, orders }
+    let layers = Formulas {
+        values: Values::default(),
+        order: config.order.clone(),
+        mlp_ratio: config.mlp_ratio,
+        rope_base: Some(config.rope_base),
+    };
+    Reference { config, layers, train: false, orders }
 }
 
 /// Largest difference, relative to the largest value.
-fn error(got: &[f32], want: &[f64]) -> f64 {
+pub fn error(got: &[f32], want: &[f64]) -> f64 {
     assert_eq!(got.len(), want.len());
     let largest = want.iter().fold(0f64, |a, v| a.max(v.abs()));
     assert!(largest > 0.1, "everything is small");
@@ -121,11 +127,11 @@ fn differences(
         let loss = || -> f64 { slow.forward(scenes).iter().zip(out).map(|(o, r)| o * r).sum() };
         let of = |(parameter, values): (&String, &Vec<f32>)| {
             let along = direction(parameter, values.len());
-            slow.values.shift(parameter, STEP, &along);
+            slow.layers.values.shift(parameter, STEP, &along);
             let above = loss();
-            slow.values.shift(parameter, -2.0 * STEP, &along);
+            slow.layers.values.shift(parameter, -2.0 * STEP, &along);
             let below = loss();
-            slow.values.shift(parameter, STEP, &along);
+            slow.layers.values.shift(parameter, STEP, &along);
             (parameter.clone(), (above - below) / (2.0 * STEP))
         };
         Arc::new(parameters.iter().map(of).collect())
@@ -186,7 +192,7 @@ fn names_are_those_of_the_published_weights() {
     for (name, config) in configs() {
         let slow = reference(&config, &Orders::Listed);
         slow.forward(&scenes);
-        let mut want = slow.values.shapes();
+        let mut want = slow.layers.values.shapes();
         // Counters, which nothing computes with.
         let counters: Vec<String> = want
             .keys()

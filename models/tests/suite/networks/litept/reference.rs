@@ -20,7 +20,7 @@ pub struct Values(RefCell<BTreeMap<String, Shaped>>);
 type Shaped = (Vec<usize>, Vec<f64>);
 
 impl Values {
-    fn get(&self, name: &str, shape: &[usize]) -> Vec<f64> {
+    pub fn get(&self, name: &str, shape: &[usize]) -> Vec<f64> {
         let mut all = self.0.borrow_mut();
         let (known, values) = all.entry(name.to_owned()).or_insert_with(|| {
             let hashed = hashed_parameter(name, shape, SEED).unwrap();
@@ -44,18 +44,29 @@ impl Values {
 }
 
 /// One scale of a batch.
-struct Rows {
+pub struct Rows {
     /// Scene and voxel.
-    cells: Vec<(usize, [i32; 3])>,
+    pub cells: Vec<(usize, [i32; 3])>,
     /// First row of a voxel.
     at: BTreeMap<(usize, [i32; 3]), usize>,
 }
 
 impl Rows {
-    fn new(cells: Vec<(usize, [i32; 3])>) -> Self {
+    pub fn new(cells: Vec<(usize, [i32; 3])>) -> Self {
         let mut at = BTreeMap::new();
         cells.iter().enumerate().for_each(|(row, cell)| _ = at.entry(*cell).or_insert(row));
         Self { cells, at }
+    }
+
+    /// Cells of so many voxels an axis, and the cell of each row.
+    pub fn coarser(&self, stride: usize) -> (Self, Vec<usize>) {
+        let cell = |(scene, v): &(usize, [i32; 3])| (*scene, v.map(|v| v / stride as i32));
+        let members: Vec<_> = self.cells.iter().map(cell).collect();
+        let mut cells = members.clone();
+        cells.sort_unstable();
+        cells.dedup();
+        let of = members.iter().map(|m| cells.binary_search(m).unwrap()).collect();
+        (Self::new(cells), of)
     }
 }
 
@@ -63,7 +74,7 @@ impl Rows {
 type Finer = (Rows, Vec<f64>, Vec<usize>, Vec<usize>);
 
 /// The largest of each group's rows, channel by channel.
-fn largest(x: &[f64], c: usize, group_of: &[usize], groups: usize) -> Vec<f64> {
+pub fn largest(x: &[f64], c: usize, group_of: &[usize], groups: usize) -> Vec<f64> {
     let mut most = vec![f64::NEG_INFINITY; groups * c];
     for (row, &group) in x.chunks_exact(c).zip(group_of) {
         most[group * c..][..c].iter_mut().zip(row).for_each(|(m, v)| *m = m.max(*v));
@@ -71,9 +82,18 @@ fn largest(x: &[f64], c: usize, group_of: &[usize], groups: usize) -> Vec<f64> {
     most
 }
 
+/// Layers of networks of voxels.
+pub struct Formulas {
+    pub values: Values,
+    pub order: Vec<String>,
+    pub mlp_ratio: usize,
+    /// Base of the angles by which queries and keys are turned, if they are.
+    pub rope_base: Option<f64>,
+}
+
 pub struct Reference<'a> {
     pub config: &'a LitePtConfig,
-    pub values: Values,
+    pub layers: Formulas,
     /// Whether batch norms take the statistics of the batch.
     pub train: bool,
     /// Which curve of the list stands at each place of it, scale with attention by scale.
@@ -90,7 +110,7 @@ impl Reference<'_> {
         let channels = &c.enc_channels;
         let feat: Vec<f64> = feat;
         let shape = [c.in_channels, channels[0], 5];
-        let x = self.conv(&feat, &rows, shape, "embedding.stem.conv", false);
+        let x = self.layers.conv(&feat, &rows, shape, "embedding.stem.conv", false);
         let mut x = self.norm_gelu(&x, channels[0], "embedding.stem.norm");
         let mut attending = 0;
         let mut finer: Vec<Finer> = Vec::new();
@@ -116,7 +136,7 @@ impl Reference<'_> {
             let (fine, skip, of, permutation) = finer.pop().unwrap();
             let (name, o) = (format!("dec.dec{stage}"), c.dec_channels[stage]);
             let up = |x: &[f64], i: usize, part: &str| {
-                let wide = self.linear(x, i, o, &format!("{name}.up.{part}.0"));
+                let wide = self.layers.linear(x, i, o, &format!("{name}.up.{part}.0"));
                 self.norm_gelu(&wide, o, &format!("{name}.up.{part}.1"))
             };
             let coarse = up(&x, below, "proj");
@@ -138,18 +158,12 @@ impl Reference<'_> {
     /// The cells of a stage, their rows, and the cell of each row of the stage before.
     fn pooled(&self, x: &[f64], rows: &Rows, stage: usize) -> (Rows, Vec<f64>, Vec<usize>) {
         let c = self.config;
-        let stride = c.stride[stage - 1] as i32;
-        let cell = |(scene, v): &(usize, [i32; 3])| (*scene, v.map(|v| v / stride));
-        let mut coarse: Vec<_> = rows.cells.iter().map(cell).collect();
-        let members = coarse.clone();
-        coarse.sort_unstable();
-        coarse.dedup();
-        let of: Vec<usize> = members.iter().map(|m| coarse.binary_search(m).unwrap()).collect();
+        let (coarse, of) = rows.coarser(c.stride[stage - 1]);
         let (i, o) = (c.enc_channels[stage - 1], c.enc_channels[stage]);
-        let wide = self.linear(x, i, o, &format!("enc.enc{stage}.down.proj"));
-        let most = largest(&wide, o, &of, coarse.len());
+        let wide = self.layers.linear(x, i, o, &format!("enc.enc{stage}.down.proj"));
+        let most = largest(&wide, o, &of, coarse.cells.len());
         let pooled = self.norm_gelu(&most, o, &format!("enc.enc{stage}.down.norm.0"));
-        (Rows::new(coarse), pooled, of)
+        (coarse, pooled, of)
     }
 
     fn blocks(
@@ -181,14 +195,46 @@ impl Reference<'_> {
         found.unwrap_or_else(|| (0..c.order.len()).collect())
     }
 
-    fn linear(&self, x: &[f64], i: usize, o: usize, name: &str) -> Vec<f64> {
+    fn norm_gelu(&self, x: &[f64], c: usize, name: &str) -> Vec<f64> {
+        let named = |part: &str| self.layers.values.get(&format!("{name}.{part}"), &[c]);
+        let (mean, var) = (named("running_mean"), named("running_var"));
+        let given = (!self.train || x.len() == c).then_some((mean.as_slice(), var.as_slice()));
+        slow::gelu(&slow::batch_norm(x, &named("weight"), &named("bias"), given))
+    }
+
+    fn block(
+        &self,
+        x: &[f64],
+        rows: &Rows,
+        shape: [usize; 3],
+        kind: BlockKind,
+        curve: usize,
+        name: &str,
+    ) -> Vec<f64> {
+        let c = shape[0];
+        let mut x = if kind.has_convolution() {
+            let y = self.layers.conv(x, rows, [c, c, 3], &format!("{name}.conv.0"), true);
+            let y = self.layers.linear(&y, c, c, &format!("{name}.conv.1"));
+            slow::add(x, &self.layers.layer_norm(&y, c, &format!("{name}.conv.2")))
+        } else {
+            self.layers.layer_norm(x, c, &format!("{name}.norm0.0"))
+        };
+        if kind.has_attention() {
+            x = self.layers.attention_mlp(x, rows, shape, curve, name);
+        }
+        x
+    }
+}
+
+impl Formulas {
+    pub fn linear(&self, x: &[f64], i: usize, o: usize, name: &str) -> Vec<f64> {
         let weight = self.values.get(&format!("{name}.weight"), &[o, i]);
         slow::linear(x, i, &weight, Some(&self.values.get(&format!("{name}.bias"), &[o])))
     }
 
     /// Sum over the occupied voxels around each; at its own place a row finds itself, elsewhere the
     /// first row of the voxel.
-    fn conv(
+    pub fn conv(
         &self,
         x: &[f64],
         rows: &Rows,
@@ -225,51 +271,12 @@ impl Reference<'_> {
         out
     }
 
-    fn norm_gelu(&self, x: &[f64], c: usize, name: &str) -> Vec<f64> {
-        let named = |part: &str| self.values.get(&format!("{name}.{part}"), &[c]);
-        let (mean, var) = (named("running_mean"), named("running_var"));
-        let given = (!self.train || x.len() == c).then_some((mean.as_slice(), var.as_slice()));
-        slow::gelu(&slow::batch_norm(x, &named("weight"), &named("bias"), given))
-    }
-
-    fn layer_norm(&self, x: &[f64], c: usize, name: &str) -> Vec<f64> {
+    pub fn layer_norm(&self, x: &[f64], c: usize, name: &str) -> Vec<f64> {
         let named = |part: &str| self.values.get(&format!("{name}.{part}"), &[c]);
         slow::layer_norm(x, &named("weight"), &named("bias"))
     }
 
-    fn block(
-        &self,
-        x: &[f64],
-        rows: &Rows,
-        shape: [usize; 3],
-        kind: BlockKind,
-        curve: usize,
-        name: &str,
-    ) -> Vec<f64> {
-        let c = shape[0];
-        let mut x = if kind.has_convolution() {
-            let y = self.conv(x, rows, [c, c, 3], &format!("{name}.conv.0"), true);
-            let y = self.linear(&y, c, c, &format!("{name}.conv.1"));
-            slow::add(x, &self.layer_norm(&y, c, &format!("{name}.conv.2")))
-        } else {
-            self.layer_norm(x, c, &format!("{name}.norm0.0"))
-        };
-        if kind.has_attention() {
-            let y = self.layer_norm(&x, c, &format!("{name}.norm1.0"));
-            let y = self.attention(&y, rows, shape, curve, &format!("{name}.attn"));
-            x = slow::add(&x, &y);
-            let y = self.layer_norm(&x, c, &format!("{name}.norm2.0"));
-            let hidden = self.config.mlp_ratio * c;
-            let y = self.linear(&y, c, hidden, &format!("{name}.mlp.0.fc1"));
-            x = slow::add(
-                &x,
-                &self.linear(&slow::gelu(&y), hidden, c, &format!("{name}.mlp.0.fc2")),
-            );
-        }
-        x
-    }
-
-    fn attention(
+    pub fn attention(
         &self,
         x: &[f64],
         rows: &Rows,
@@ -279,13 +286,14 @@ impl Reference<'_> {
     ) -> Vec<f64> {
         let mut qkv = self.linear(x, c, 3 * c, &format!("{name}.qkv"));
         let (dim, third) = (c / heads, c / heads / 6);
-        for (row, (_, cell)) in rows.cells.iter().enumerate() {
+        let turned = self.rope_base.map(|base| rows.cells.iter().map(move |cell| (base, cell)));
+        for (row, (base, (_, cell))) in turned.into_iter().flatten().enumerate() {
             for part in 0..2 {
                 for head in 0..heads {
                     for axis in 0..3 {
                         for i in 0..third {
-                            let angle = f64::from(cell[axis])
-                                * self.config.rope_base.powf(-(i as f64) / third as f64);
+                            let angle =
+                                f64::from(cell[axis]) * base.powf(-(i as f64) / third as f64);
                             let u = row * 3 * c + part * c + head * dim + axis * 2 * third + i;
                             let (a, b) = (qkv[u], qkv[u + third]);
                             qkv[u] = a * angle.cos() - b * angle.sin();
@@ -333,7 +341,7 @@ impl Reference<'_> {
         let mine = rows.cells.iter().enumerate().filter(|(_, cell)| cell.0 == scene);
         let most = mine.clone().flat_map(|(_, cell)| cell.1).max().unwrap_or(0);
         let depth = u32::BITS - (most as u32 + 1).leading_zeros();
-        let code = |[x, y, z]: [u32; 3]| match self.config.order[curve].as_str() {
+        let code = |[x, y, z]: [u32; 3]| match self.order[curve].as_str() {
             "z" => morton_code([x, y, z], depth),
             "z-trans" => morton_code([y, x, z], depth),
             "hilbert" => hilbert_code([x, y, z], depth),
@@ -343,5 +351,25 @@ impl Reference<'_> {
             mine.map(|(row, cell)| (code(cell.1.map(|v| v as u32)), row)).collect();
         coded.sort_unstable();
         coded.into_iter().map(|(_, row)| row).collect()
+    }
+
+    /// Attention and MLP of normalized rows, each beside what goes in.
+    pub fn attention_mlp(
+        &self,
+        mut x: Vec<f64>,
+        rows: &Rows,
+        shape: [usize; 3],
+        curve: usize,
+        name: &str,
+    ) -> Vec<f64> {
+        let c = shape[0];
+        let y = self.layer_norm(&x, c, &format!("{name}.norm1.0"));
+        let y = self.attention(&y, rows, shape, curve, &format!("{name}.attn"));
+        x = slow::add(&x, &y);
+        let y = self.layer_norm(&x, c, &format!("{name}.norm2.0"));
+        let hidden = self.mlp_ratio * c;
+        let y = self.linear(&y, c, hidden, &format!("{name}.mlp.0.fc1"));
+        x = slow::add(&x, &self.linear(&slow::gelu(&y), hidden, c, &format!("{name}.mlp.0.fc2")));
+        x
     }
 }
