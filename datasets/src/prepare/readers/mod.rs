@@ -1,7 +1,7 @@
 //! Layouts of benchmarks, one a file.
 
 mod arkitscenes;
-mod hypersim;
+pub(super) mod hypersim;
 mod matterport3d;
 mod points;
 mod replica;
