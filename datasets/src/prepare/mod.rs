@@ -8,9 +8,11 @@
 //!
 //! A layout is read as the benchmark's own documentation describes it ([`ScanLayout`]); what names mean is a
 //! [`LabelTable`], apart from that. [`transfer_to_chunks`] brings labeled points to chunks that were cut before.
+//! [`frames`] reads the pictures that scans were made of.
 
 mod bounding_box;
 mod chunk_points;
+pub mod frames;
 mod label_table;
 mod readers;
 mod scan;

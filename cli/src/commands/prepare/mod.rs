@@ -1,6 +1,7 @@
 //! `scenesplat prepare`
 
 mod chunks;
+mod frames;
 mod scan;
 mod splits;
 
@@ -22,6 +23,9 @@ enum Part {
     Scan(scan::Args),
     /// Brings the labeled points of scenes (pc_*.npy) to the chunks that were cut of them.
     Chunks(chunks::Args),
+    /// The frames of a benchmark's scan: a folder of cameras, pictures and depths that optimise, curate, collect-labels
+    /// and lift-labels read.
+    Frames(frames::Args),
 }
 
 /// Runs the command.
@@ -29,5 +33,6 @@ pub fn run(args: &Args, line: &str) -> Result<()> {
     match &args.part {
         Part::Scan(args) => scan::run(args, line),
         Part::Chunks(args) => chunks::run(args),
+        Part::Frames(args) => frames::run(args, line),
     }
 }

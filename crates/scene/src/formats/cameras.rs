@@ -10,6 +10,7 @@ pub mod nerfstudio;
 
 pub use cameras_json::{is_cameras_json, read_cameras_json, write_cameras_json};
 pub use colmap::{is_colmap_folder, read_colmap_binary, read_colmap_text};
+pub use image_size::picture_size;
 pub use nerfstudio::{is_transforms_json, read_transforms_json};
 
 use super::json_text::without_mark;

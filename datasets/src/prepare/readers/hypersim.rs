@@ -93,7 +93,7 @@ impl Cell {
 }
 
 /// The factor from the artists' units to meters.
-fn metres_per_unit(path: &Path) -> Result<f64, DataError> {
+pub(in crate::prepare) fn metres_per_unit(path: &Path) -> Result<f64, DataError> {
     const NAME: &str = "meters_per_asset_unit";
     let text = read_text_file(path)?;
     let row =
@@ -191,14 +191,14 @@ impl PictureFiles {
 }
 
 /// The one array of such a file, which is called `dataset`.
-struct Array {
+pub(in crate::prepare) struct Array {
     path: PathBuf,
     data: hdf5_pure::Dataset,
-    shape: Vec<u64>,
+    pub(in crate::prepare) shape: Vec<u64>,
 }
 
 impl Array {
-    fn open(path: &Path) -> Result<Self, DataError> {
+    pub(in crate::prepare) fn open(path: &Path) -> Result<Self, DataError> {
         let io = |source| SceneError::Io { path: path.to_owned(), action: "cannot read", source };
         let size = std::fs::metadata(path).map_err(io)?.len();
         if size > MAX_FILE {
@@ -220,11 +220,11 @@ impl Array {
         Ok(out)
     }
 
-    fn bad_shape(&self, expected: &str) -> DataError {
+    pub(in crate::prepare) fn bad_shape(&self, expected: &str) -> DataError {
         bad_file(&self.path, format!("is {:?}, expected {expected}", self.shape), DAMAGED)
     }
 
-    fn f32(&self) -> Result<Vec<f32>, DataError> {
+    pub(in crate::prepare) fn f32(&self) -> Result<Vec<f32>, DataError> {
         // Numbers of 16 bits are not among those that the crate converts.
         use {Datatype::FloatingPoint, DatatypeByteOrder::LittleEndian};
         let ty = self.data.datatype();
@@ -238,7 +238,11 @@ impl Array {
         self.checked(self.data.read_raw().map(half))
     }
 
-    fn i32(&self) -> Result<Vec<i32>, DataError> {
+    pub(in crate::prepare) fn f64(&self) -> Result<Vec<f64>, DataError> {
+        self.checked(self.data.read_f64())
+    }
+
+    pub(in crate::prepare) fn i32(&self) -> Result<Vec<i32>, DataError> {
         self.checked(self.data.read_i32())
     }
 

@@ -2,7 +2,7 @@
 
 mod arkitscenes;
 mod boxes;
-mod hypersim;
+pub(super) mod hypersim;
 mod interiorgs;
 mod matterport3d;
 mod points;

@@ -15,7 +15,13 @@ pub(super) fn image_size(path: &Path) -> Option<(u32, u32)> {
     let file = files.into_iter().find(|file| file.is_file())?;
     let mut head = Vec::new();
     open_regular_file(&file).ok()?.take(HEAD).read_to_end(&mut head).ok()?;
-    png_size(&head).or_else(|| jpeg_size(&head))
+    picture_size(&head)
+}
+
+/// Width and height of a PNG or JPEG picture by the head of its file, which is not decoded; `None` if it is neither, or
+/// says nothing of its size.
+pub fn picture_size(head: &[u8]) -> Option<(u32, u32)> {
+    png_size(head).or_else(|| jpeg_size(head))
 }
 
 fn with_ending(path: &Path, ending: &str) -> PathBuf {
