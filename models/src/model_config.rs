@@ -317,7 +317,9 @@ mod tests {
             ModelConfig { grid_size: 0.05, ..ModelConfig::tiny().with_projection(96) },
         ] {
             let text = serde_json::to_string(&config).unwrap();
-            assert!(text.starts_with(r#"{"architecture":"point_transformer_v3","in_channels":"#));
+            assert!(text.starts_with(
+                r#"{"architecture":"point_transformer_v3","version":"m1","in_channels":"#
+            ));
             assert_eq!(read(&text).unwrap(), config, "{text}");
         }
         assert_eq!(read("{}").unwrap(), ModelConfig::language());

@@ -452,6 +452,6 @@ mod tests {
                 read += 1;
             }
         }
-        assert_eq!(read, 78);
+        assert_eq!(read, 79);
     }
 }

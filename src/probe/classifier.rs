@@ -279,4 +279,16 @@ mod tests {
         // A GELU gives nothing below -0.17.
         assert!(least < -0.5, "{least}");
     }
+
+    #[test]
+    fn a_probe_without_weight_decay_still_learns() {
+        let (lr, weight_decay) = (0.02, 0.0);
+        let settings = ProbeSettings { steps: 150, lr, weight_decay, ..ProbeSettings::default() };
+        let learned = rows(400);
+        let probe = Classifier::train(&learned, 2, &settings).unwrap();
+        assert_eq!(probe.classes(&learned.rows).unwrap(), learned.labels);
+        // At a rate of 0 it would stay above 0.27, ln(1 + exp(-1.15)): first weights are at most 0.58, and classes
+        // lie at -1 and 1.
+        assert!(probe.loss < 0.1, "{}", probe.loss);
+    }
 }

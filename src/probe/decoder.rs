@@ -146,12 +146,7 @@ pub(super) fn train(
     }
     let params = ParamStore::trainable(settings.seed);
     let network = model.build(params.builder())?;
-    let (own, own_buffers) = (params.parameters(), params.buffers());
-    for (name, value) in source.parameters().iter().chain(&source.buffers()) {
-        if let Some(var) = own.get(name).or_else(|| own_buffers.get(name)) {
-            var.set(&value.as_detached_tensor().copy()?)?;
-        }
-    }
+    take_values(&params, &source)?;
     let batches = labelled_batches(scenes, settings)?;
     let order = (0..settings.steps as usize).map(|step| step % batches.len()).collect();
     let loader = Scenes { batches, order };
@@ -181,6 +176,17 @@ pub(super) fn train(
     let width = FINEST;
     let loss = *last.0.lock().unwrap_or_else(std::sync::PoisonError::into_inner);
     Ok(DecoderProbe { module, width, loss })
+}
+
+/// Sets parameters and batch statistics to those of the same name in `source`, where it has them.
+fn take_values(params: &ParamStore, source: &ParamStore) -> Result<(), ProbeError> {
+    let (own, own_buffers) = (params.parameters(), params.buffers());
+    for (name, value) in source.parameters().iter().chain(&source.buffers()) {
+        if let Some(var) = own.get(name).or_else(|| own_buffers.get(name)) {
+            var.set(&value.as_detached_tensor().copy()?)?;
+        }
+    }
+    Ok(())
 }
 
 /// Keeps the loss of the last step that is logged.
@@ -278,5 +284,58 @@ mod tests {
             bits(&first.parameters()["seg_head.weight"].flatten_all().unwrap())
         );
         assert_eq!(probe.classes(&scenes[0]).unwrap().len(), scenes[0].labels.len());
+    }
+
+    #[test]
+    fn batch_statistics_are_taken_over_with_the_parameters() {
+        use candle_core::{Device, Tensor, Var};
+        use scenesplat_models::layers::BatchNorm;
+        let [own, source] = [0, 1].map(ParamStore::trainable);
+        for name in ["enc", "dec"] {
+            BatchNorm::new(2, own.builder().pp(name)).unwrap();
+        }
+        BatchNorm::new(2, source.builder().pp("enc")).unwrap();
+        let set = |var: &Var, values: [f32; 2]| {
+            var.set(&Tensor::new(&values, &Device::Cpu).unwrap()).unwrap();
+        };
+        set(&source.parameters()["enc.weight"], [2.0, 3.0]);
+        set(&source.buffers()["enc.running_mean"], [4.0, 5.0]);
+        set(&source.buffers()["enc.running_var"], [6.0, 7.0]);
+        take_values(&own, &source).unwrap();
+        let read = |var: &Var| var.as_tensor().to_vec1::<f32>().unwrap();
+        let (params, buffers) = (own.parameters(), own.buffers());
+        assert_eq!(read(&params["enc.weight"]), [2.0, 3.0]);
+        assert_eq!(read(&buffers["enc.running_mean"]), [4.0, 5.0]);
+        assert_eq!(read(&buffers["enc.running_var"]), [6.0, 7.0]);
+        // The source has nothing for it: mean 0 and variance 1, as at first.
+        assert_eq!(read(&buffers["dec.running_mean"]), [0.0, 0.0]);
+        assert_eq!(read(&buffers["dec.running_var"]), [1.0, 1.0]);
+    }
+
+    #[test]
+    fn a_decoder_learns_from_the_labels_of_its_regime_only() {
+        use candle_core::{DType, Device, Tensor};
+        let scene = |labels: Vec<i32>| ProbeScene {
+            id: "s".to_owned(),
+            rows: Tensor::zeros((labels.len(), 1), DType::F32, &Device::Cpu).unwrap(),
+            instances: None,
+            voxel_of: (0..labels.len() as u32).collect(),
+            truth: labels.clone(),
+            batch: TrainBatch { coord: vec![[0.0; 3]; labels.len()], ..TrainBatch::default() },
+            labels,
+        };
+        // Each voxel of the first has a class of its own, those of the second have none, and it is left out.
+        let scenes = [scene((0..10).collect()), scene(vec![-1; 10])];
+        let count = |labels: LabelRegime| {
+            let settings = ProbeSettings { labels, ..ProbeSettings::default() };
+            let batches = labelled_batches(&scenes, &settings).unwrap();
+            assert_eq!(batches.len(), 1);
+            let segment = batches[0].segment.clone().unwrap();
+            assert!((0..).zip(&segment).all(|(row, label)| [-1, row].contains(label)));
+            segment.iter().filter(|label| **label >= 0).count()
+        };
+        // 3 a scene; 0.4 of 10; all.
+        let regimes = [LabelRegime::PerScene(3), LabelRegime::Share(0.4), LabelRegime::All];
+        assert_eq!(regimes.map(count), [3, 4, 10]);
     }
 }

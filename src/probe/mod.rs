@@ -238,3 +238,62 @@ fn result(
         objects,
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use candle_core::{Device, Tensor};
+
+    /// Voxels of one channel, each of which is a Gaussian and an object.
+    fn scene(rows: &[f32], labels: &[i32]) -> ProbeScene {
+        let n = rows.len();
+        ProbeScene {
+            id: "s".to_owned(),
+            rows: Tensor::from_vec(rows.to_vec(), (n, 1), &Device::Cpu).unwrap(),
+            labels: labels.to_vec(),
+            instances: Some((0..n as i32).collect()),
+            voxel_of: (0..n as u32).collect(),
+            truth: labels.to_vec(),
+            batch: scenesplat_datasets::TrainBatch::default(),
+        }
+    }
+
+    #[test]
+    fn every_gaussian_is_scored_by_its_own_label() {
+        // Three Gaussians in the voxel of class 0, the last of which is a 1; one in the voxel of class 1.
+        let scene = ProbeScene {
+            voxel_of: vec![0, 0, 0, 1],
+            truth: vec![0, 0, 1, 1],
+            ..scene(&[0.0, 0.0], &[0, 1])
+        };
+        let confusion = score(|_| Ok(vec![0, 1]), &[scene], 2).unwrap();
+        // By true and by found class: of two 0 both are right, of two 1 one is taken for a 0.
+        assert_eq!(confusion.counts(), [2, 0, 1, 1]);
+    }
+
+    #[test]
+    fn objects_that_are_scored_are_not_learned_from() {
+        // Low rows are 0 and high ones 1; in the scene that is scored it is the other way round.
+        let train = [scene(&[0.0, 0.5, 9.5, 10.0], &[0, 0, 1, 1])];
+        let test = [scene(&[1.0, 9.0], &[1, 0])];
+        let settings = ProbeSettings { steps: 100, lr: 0.1, ..ProbeSettings::default() };
+        let found = object_result(&train, &test, 2, &settings).unwrap().unwrap();
+        assert_eq!((found.train_objects, found.test_objects), (4, 2));
+        // So what was learned is wrong about both.
+        assert_eq!(found.accuracy, Some(0.0));
+    }
+
+    #[test]
+    fn mean_accuracy_is_over_classes_and_accuracy_over_gaussians() {
+        let mut confusion = ConfusionMatrix::new(2).unwrap();
+        // Of three 0 all are right, and one 1 is taken for a 0.
+        confusion.update((&[0, 0, 0, 0][..], &[0, 0, 0, 1][..])).unwrap();
+        let found = result(&confusion.tester_report(), (7, 0.5), Instant::now(), None);
+        let is_near = |got: Option<f64>, due: f64| got.is_some_and(|v| (v - due).abs() < 1e-6);
+        // Of the classes 3 / 3 and 0 / 1, of all 3 / 4; IoUs are 3 / 4 and 0 / 1.
+        assert!(is_near(found.macc, 0.5), "{found:?}");
+        assert!(is_near(found.all_acc, 0.75), "{found:?}");
+        assert!(is_near(found.miou, 0.375), "{found:?}");
+        assert_eq!((found.width, found.loss), (7, 0.5));
+    }
+}

@@ -129,7 +129,7 @@ mod tests {
             ..GaussianScene::default()
         };
         std::fs::create_dir_all(path.parent().unwrap()).unwrap();
-        write_inria_ply(&scene, path).unwrap();
+        write_inria_ply(&scene, &[], path).unwrap();
     }
 
     #[test]

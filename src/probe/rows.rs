@@ -310,4 +310,16 @@ mod tests {
         let none = [scene_of(&[-1], &[0])];
         assert!(matches!(super::super::classes_of(none.iter()), Err(ProbeError::NoLabels)));
     }
+
+    #[test]
+    fn the_height_above_the_ground_is_there_once() {
+        use InputChannel::{Color, Height, Opacity};
+        let channels = |channels: &[InputChannel]| {
+            let channels = channels.to_vec();
+            with_height(&InputFeatures { channels, ..InputFeatures::default() }).channels
+        };
+        // Last where a network does not read it, else where it is.
+        assert_eq!(channels(&[Color, Opacity]), [Color, Opacity, Height]);
+        assert_eq!(channels(&[Height, Color]), [Height, Color]);
+    }
 }

@@ -87,4 +87,16 @@ mod tests {
         let (train, test) = ProbeScenes::new(source, 0.1, Some(3)).unwrap().split().unwrap();
         assert_eq!((train.len(), test.len()), (5, 3));
     }
+
+    #[test]
+    fn the_last_scenes_are_scored_and_the_others_learned_from() {
+        let source = Arc::new(SyntheticRooms::new(4, Default::default(), 1).unwrap());
+        let (train, test) = ProbeScenes::new(source, 0.1, Some(1)).unwrap().split().unwrap();
+        let names = |scenes: &Scenes| -> Vec<String> {
+            (0..scenes.len()).map(|index| scenes.id(index).to_owned()).collect()
+        };
+        // Rooms are numbered from 0 on.
+        assert_eq!(names(&train), ["room-000000", "room-000001", "room-000002"]);
+        assert_eq!(names(&test), ["room-000003"]);
+    }
 }

@@ -104,4 +104,11 @@ mod tests {
             }
         }
     }
+
+    #[test]
+    fn a_blurred_picture_halves_the_worth_of_its_things_as_any_other() {
+        let pictures = [shown(&[0, 1, 2, 3], 0.5), shown(&[0, 1], 0.9), shown(&[4], 1.0)];
+        // First 4 · 0.5 = 2 against 2 · 0.9 and 1. Then things 0 and 1 count ½ each: (½ + ½) · 0.9 = 0.9 against 1.
+        assert_eq!(choose_pictures(&pictures, 5, 3), [0, 2, 1]);
+    }
 }

@@ -207,4 +207,25 @@ mod tests {
             assert!((cosine(&row, &row) - 1.0).abs() < 1e-5);
         }
     }
+
+    #[test]
+    fn a_color_is_shared_among_the_cells_of_its_own_axes() {
+        // Middles of cells are at 8 + 16 i of lightness, and at −72 + 18 i of both other axes: L* = 40 is cell 2,
+        // a* = −18 is cell 3, b* = 54 is cell 7. L* = 48 is half way to cell 3, a* = −13.5 a quarter of the way to 4.
+        let check = |color: [f32; 3], shares: &[([usize; 3], f64)]| {
+            let mut want = vec![0.0f64; 6 * 9 * 9];
+            for ([l, a, b], share) in shares {
+                want[(l * 9 + a) * 9 + b] = *share;
+            }
+            let mut cells = vec![0.0f64; 6 * 9 * 9];
+            add(&mut cells, color, 2.0);
+            for (cell, (got, want)) in cells.iter().zip(&want).enumerate() {
+                assert!((got - want).abs() < 1e-5, "{color:?}, cell {cell}: {got} {want}");
+            }
+        };
+        check([40.0, -18.0, 54.0], &[([2, 3, 7], 2.0)]);
+        // Of the weight 2: ½ · ¾, ½ · ¼, and the same again.
+        let four = [([2, 3, 7], 0.75), ([2, 4, 7], 0.25), ([3, 3, 7], 0.75), ([3, 4, 7], 0.25)];
+        check([48.0, -13.5, 54.0], &four);
+    }
 }

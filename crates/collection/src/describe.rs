@@ -296,4 +296,28 @@ mod tests {
             assert!(error.contains("bad") && error.contains(part), "{error}");
         }
     }
+
+    #[test]
+    fn crops_with_surroundings_and_alone_have_their_own_weights() {
+        // Left a square of red with one blue pixel of no segment, right a square of green.
+        let picture = RgbPicture::from_fn(4, 2, |x, y| match (x, y) {
+            (1, 1) => [0, 0, 160],
+            (0 | 1, _) => [200, 0, 0],
+            _ => [0, 120, 0],
+        });
+        let map = SegmentMap::new(4, 2, vec![0, 0, 1, 1, 0, NO_SEGMENT, 1, 1]).unwrap();
+        let encoder = Means(Mutex::default());
+        let found = describe(&picture, &map, &encoder, DescribeSettings::default()).unwrap();
+        // Of the eight pixels 3 are red, 1 is blue, 4 are green. The red square is ¾ red and ¼ blue, alone ¼ black.
+        let frame = [75.0, 60.0, 20.0];
+        let (around, alone) = ([150.0, 0.0, 40.0], [150.0, 0.0, 0.0]);
+        let green = [0.0, 120.0, 0.0];
+        let [a, b] = [phi(frame, around, alone), phi(frame, green, green)].map(f64::exp);
+        let want = by_hand(frame, around, alone, a / (a + b));
+        let got = &found.features[..3];
+        assert!((0..3).all(|k| (f64::from(got[k]) - want[k]).abs() < 1e-5), "{got:?} {want:?}");
+        let want = by_hand(frame, green, green, b / (a + b));
+        let got = &found.features[3..];
+        assert!((0..3).all(|k| (f64::from(got[k]) - want[k]).abs() < 1e-5), "{got:?} {want:?}");
+    }
 }

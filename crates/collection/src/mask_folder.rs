@@ -152,4 +152,21 @@ mod tests {
         let empty = tempfile::tempdir().unwrap();
         assert!(MaskFolder::open(empty.path(), None).is_err());
     }
+
+    #[test]
+    fn maps_are_known_by_the_names_of_frames_not_of_cameras() {
+        let dir = tempfile::tempdir().unwrap();
+        let at = |name: &str| dir.path().join(name);
+        write(&at("a.png"), 2, 1, Channels::Gray, Samples::Eight(vec![4, 255]));
+        write(&at("b.png"), 2, 1, Channels::Gray, Samples::Eight(vec![255, 4]));
+        let mut folder = MaskFolder::open(dir.path(), None).unwrap();
+        // The first frame was taken by camera b, the second one by camera a.
+        folder.assign(&[["first", "b"], ["second", "a"]]).unwrap();
+        assert_eq!(folder.file("first"), Some(at("b.png").as_path()));
+        assert_eq!(folder.file("second"), Some(at("a.png").as_path()));
+        assert_eq!((folder.file("a"), folder.file("b")), (None, None));
+        let (view, picture) = (view(2, 1), RgbPicture::filled(2, 1, [5; 3]));
+        let posed = PosedPicture { name: "first", picture: &picture, view: &view, depth: None };
+        assert_eq!(folder.segment(&posed).unwrap().map.ids(), [NO_SEGMENT, 0]);
+    }
 }

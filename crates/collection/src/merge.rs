@@ -254,4 +254,21 @@ mod tests {
             assert_eq!(seen(at(1, 1), at(1, 2)), at(1, 0));
         }
     }
+
+    #[test]
+    fn a_segment_of_three_has_to_be_more_alike_than_a_single_one() {
+        let joined = |lightness: &[f32]| {
+            let count = lightness.len();
+            let lab = lightness.iter().map(|&l| Vec3::new(l, 0.0, 0.0)).collect();
+            let surface = Surface::unknown(count);
+            let pixels = Pixels { width: count, height: 1, lab, surface };
+            let clusters: Vec<u32> = (0..count as u32).collect();
+            merge(&pixels, &clusters, Similarity { limit: 1.0, smallest: 0 })
+        };
+        // 10 of lightness are a difference of 1. A single superpixel may differ by the limit, 1: 0.8 joins.
+        assert_eq!(joined(&[6.0, 14.0]), [0, 0]);
+        // Three that differ by 0.3 become one segment. It may differ by 0.3 + 1/3 = 0.63: 0.6 joins, 0.8 does not.
+        assert_eq!(joined(&[0.0, 3.0, 6.0, 14.0]), [0, 0, 0, 1]);
+        assert_eq!(joined(&[0.0, 3.0, 6.0, 12.0]), [0, 0, 0, 0]);
+    }
 }

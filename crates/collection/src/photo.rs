@@ -187,4 +187,28 @@ mod tests {
         assert_eq!(rows(7), [5, 2, 4, 1, 3, 0]);
         assert_eq!(rows(8), [2, 5, 1, 4, 0, 3]);
     }
+
+    #[test]
+    fn marks_from_5_on_exchange_the_sides_of_a_photo_and_the_others_do_not() {
+        let dir = tempfile::tempdir().unwrap();
+        let path = dir.path().join("a.png");
+        let photo = RgbPicture::from_fn(6, 4, |x, y| [10 * x as u8, 10 * y as u8, 0]);
+        // What the Exif standard says the upper left and the upper right pixel of the turned photo were as stored:
+        // column and row.
+        for (mark, left, right) in
+            [(5, [0, 0], [0, 3]), (6, [0, 3], [0, 0]), (7, [5, 3], [5, 0]), (8, [5, 0], [5, 3])]
+        {
+            write(&path, &photo, Some(mark));
+            let (found, at, remarks) = fit_photo(&path, &camera(4, 6)).unwrap();
+            assert_eq!(remarks, [PhotoRemark::Turned(mark)]);
+            assert_eq!((found.width(), found.height(), at.width, at.height), (4, 6, 4, 6));
+            for (x, [column, row]) in [(0, left), (3, right)] {
+                assert_eq!(found.get(x, 0), Some([10 * column, 10 * row, 0]), "mark {mark}");
+            }
+        }
+        for mark in 1..=4 {
+            write(&path, &photo, Some(mark));
+            assert!(fit_photo(&path, &camera(4, 6)).is_err(), "mark {mark}");
+        }
+    }
 }

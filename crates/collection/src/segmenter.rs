@@ -145,4 +145,16 @@ pub(crate) mod tests {
         let error = Segmented::dense(70_000, 1, &many, 70_000).unwrap_err().to_string();
         assert!(error.contains("70000"), "{error}");
     }
+
+    #[test]
+    fn a_picture_has_as_many_segments_as_there_are_numbers_for_and_no_more() {
+        // 16 bits have 65,536 values, and the largest means no segment.
+        let ids = |count: u32| (0..count).map(Some).collect::<Vec<_>>();
+        let most = Segmented::dense(65_535, 1, &ids(65_535), 65_535).unwrap();
+        let (first, last) = (most.map.ids().first(), most.map.ids().last());
+        assert_eq!((first, last, most.left_out), (Some(&0), Some(&65_534), 0));
+        let more = Segmented::dense(65_536, 1, &ids(65_536), 65_536).map(|found| found.left_out);
+        let error = more.unwrap_err().to_string();
+        assert!(error.contains("65536"), "{error}");
+    }
 }

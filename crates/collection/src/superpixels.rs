@@ -344,4 +344,21 @@ mod tests {
             assert!((off_plane(depth) - 0.25).abs() < 1e-3, "{depth}: {}", off_plane(depth));
         }
     }
+
+    #[test]
+    fn every_setting_of_superpixels_changes_their_name() {
+        let good = SuperpixelSettings::default();
+        let all = [
+            good,
+            SuperpixelSettings { side: 13, ..good },
+            SuperpixelSettings { compactness: 0.7, ..good },
+            SuperpixelSettings { merge: 0.25, ..good },
+            SuperpixelSettings { smallest: 41, ..good },
+        ];
+        let names = all.map(|settings| Superpixels::new(settings).unwrap().name());
+        // Each two of the five settings differ, so each two names have to.
+        for (i, name) in names.iter().enumerate() {
+            assert!(!names[..i].contains(name), "{name} is twice in {names:?}");
+        }
+    }
 }

@@ -132,4 +132,41 @@ mod tests {
             }
         }
     }
+
+    #[test]
+    fn points_use_the_focal_length_of_their_own_axis() {
+        // Half as long along x as along y; the principal point is not in the middle.
+        let view = View { fx: 4.0, fy: 8.0, cx: 1.0, cy: 1.5, ..view(4, 3) };
+        let surface = Surface::of(&[2.0; 12], &view);
+        // x = 2 · (column + ½ − 1) / 4 and y = 2 · (row + ½ − 1½) / 8.
+        for (at, want) in [
+            (0, Vec3::new(-0.25, -0.25, 2.0)),
+            (3, Vec3::new(1.25, -0.25, 2.0)),
+            (4, Vec3::new(-0.25, 0.0, 2.0)),
+            (11, Vec3::new(1.25, 0.25, 2.0)),
+        ] {
+            assert!((surface.points[at] - want).length() < 1e-6, "{at}: {:?}", surface.points[at]);
+        }
+    }
+
+    #[test]
+    fn normals_do_not_depend_on_the_unit_of_length() {
+        let view = view(32, 24);
+        let n = Vec3::new(0.3, -0.2, -1.0).normalize();
+        // Two planes with the same normal, the right one a fifth farther away: both have this normal up to the step,
+        // in any unit. Neighbors on one plane differ by about 1 % of their depth, those across the step by about 20 %.
+        for unit in [1.0f32 / 32.0, 1.0, 64.0] {
+            let depth: Vec<f32> = (0..32 * 24)
+                .map(|at| {
+                    let x = ((at % 32) as f32 + 0.5 - 16.0) / 32.0;
+                    let y = ((at / 32) as f32 + 0.5 - 12.0) / 32.0;
+                    let away = if at % 32 < 16 { 2.0f32 } else { 2.4 };
+                    -away * unit / n.dot(Vec3::new(x, y, 1.0))
+                })
+                .collect();
+            for (at, found) in Surface::of(&depth, &view).normals.iter().enumerate() {
+                assert!(found.dot(n) > 0.999, "unit {unit}, {at}: {found:?}");
+            }
+        }
+    }
 }

@@ -372,4 +372,27 @@ mod tests {
         let bad = ViewPlanSettings { fov: f64::NAN, ..settings(8) };
         assert!(plan_views(&clear, &bad).unwrap_err().to_string().contains("angle of view"));
     }
+
+    #[test]
+    fn the_angle_of_view_is_across_the_shorter_side() {
+        // The corners of a cube, and a camera that need not see them.
+        let means: Vec<[f32; 3]> =
+            (0..8).map(|i| [i & 1, i >> 1 & 1, i >> 2 & 1].map(|v| v as f32)).collect();
+        let cube = Gaussians {
+            means,
+            quats: vec![[1.0, 0.0, 0.0, 0.0]; 8],
+            scales: vec![[0.1; 3]; 8],
+            opacities: vec![0.9; 8],
+            sh: vec![0.0; 3 * 8],
+            sh_degree: 0,
+        };
+        let planner = Planner::of(&cube, ViewPlanSettings { fov: 90.0, ..settings(1) }).unwrap();
+        let candidate = Candidate { eye: DVec3::ZERO, azimuth: 0.0, pitch: 0.0, place: 0 };
+        // Half of 90° has the tangent 1: the focal length is half of the shorter side, which is 100 pixels.
+        for size in [[200, 100], [100, 200], [100, 100]] {
+            let camera = planner.camera(&candidate, String::new(), size);
+            assert!((camera.fx - 50.0).abs() < 1e-9, "{size:?}: {}", camera.fx);
+            assert!((camera.fy - 50.0).abs() < 1e-9, "{size:?}: {}", camera.fy);
+        }
+    }
 }

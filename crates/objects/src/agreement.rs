@@ -130,4 +130,21 @@ mod tests {
         // What is too small to ask for is not missed.
         assert_eq!(Agreement::of(&found, &instances, &labels, 11).recall(), 1.0);
     }
+
+    #[test]
+    fn an_instance_of_just_enough_gaussians_is_missed() {
+        let nothing = Catalogue {
+            objects: Vec::new(),
+            floor: Floor { height: 0.0, is_labelled: true, is_given: false },
+            left_over: 0,
+            small_instances: 0,
+            nameless_instances: 0,
+            gaussians: 30,
+        };
+        // Instances 0, 1 and 2 of 9, 10 and 11 Gaussians; those of 10 or more are asked for.
+        let instances: Vec<i32> =
+            (0..30).map(|row| i32::from(row >= 9) + i32::from(row >= 19)).collect();
+        let agreement = Agreement::of(&nothing, &instances, &[0; 30], 10);
+        assert_eq!((&agreement.missed[..], agreement.truth), (&[1, 2][..], 2));
+    }
 }

@@ -149,4 +149,14 @@ mod tests {
         let coord = line(&[3e38, 3e38, -3e38, 0.0]);
         assert_eq!(pieces(&[0, 1, 2, 3], &coord, 0.1, &|_| None, 0.0).len(), 3);
     }
+
+    #[test]
+    fn cells_are_joined_up_to_the_gap_and_not_beyond() {
+        let found = |xs: &[f32], gap: f64| pieces(&[0, 1], &line(xs), gap, &|_| None, 0.0);
+        // Two cells on in each case: 0.07, 0.13, 1.5 and 2.8 m apart.
+        assert_eq!(found(&[0.04, 0.11], 0.1), [vec![0, 1]]);
+        assert_eq!(found(&[0.01, 0.14], 0.1), [vec![0], vec![1]]);
+        assert_eq!(found(&[0.5, 2.0], 2.0), [vec![0, 1]]);
+        assert_eq!(found(&[0.1, 2.9], 2.0), [vec![0], vec![1]]);
+    }
 }

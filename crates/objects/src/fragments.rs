@@ -220,4 +220,17 @@ mod tests {
             assert!(!thick);
         }
     }
+
+    #[test]
+    fn sides_of_a_wall_are_parallel_whichever_way_their_yaw_is_counted() {
+        let side =
+            |x: f64, yaw: f64| UprightBox { center: [x, 0.0, 1.25], size: [3.0, 0.05, 2.5], yaw };
+        // Both lie along y, 12 cm apart; 1.57 and -1.57 are half a turn apart, less 0.1 degrees.
+        let one = side(0.0, 1.57);
+        assert!(are_sides(&one, &side(0.12, 1.57)));
+        assert!(are_sides(&one, &side(0.12, -1.57)));
+        assert!(are_sides(&side(0.0, -1.57), &side(0.12, 1.57)));
+        assert!(!are_sides(&one, &side(0.12, 0.0)), "one across the other");
+        assert!(!are_sides(&one, &side(0.5, -1.57)), "too far apart");
+    }
 }

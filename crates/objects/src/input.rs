@@ -98,3 +98,35 @@ fn is_rotation(m: &Matrix3) -> bool {
         && near(x.dot(y), 0.0)
         && near(x.cross(y).dot(z), 1.0)
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_disk_has_a_normal_and_a_needle_has_none() {
+        let unturned = [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]];
+        let scene = GaussianScene {
+            coord: vec![[0.0; 3]; 4],
+            log_scale: vec![[-1.0, -5.0, -1.5], [-5.0, -5.0, -1.0], [-5.0, -1.0, -4.5], [-2.0; 3]],
+            quat: vec![[1.0, 0.0, 0.0, 0.0]; 4],
+            ..GaussianScene::default()
+        };
+        let input = ObjectInput {
+            scene: &scene,
+            labels: &[],
+            scores: None,
+            instances: None,
+            features: None,
+            names: &[],
+            upright: unturned,
+            metres_per_unit: 1.0,
+            floor: None,
+        };
+        // The logarithms of the middle and the shortest axis differ by 3.5, 0, 0.5 and 0; above 1 is flat.
+        assert_eq!(input.upright_normal(0), Some([0.0, 1.0, 0.0]));
+        for row in 1..4 {
+            assert_eq!(input.upright_normal(row), None, "{row}");
+        }
+    }
+}

@@ -96,4 +96,14 @@ mod tests {
         }
         assert!(is_kind("raised floor", "raised floor"));
     }
+
+    #[test]
+    fn an_object_is_as_far_from_a_wall_as_its_nearest_part() {
+        let coord = [[0.0; 3], [3.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 2.0, 0.0]];
+        let walls = Walls::new(&coord, &[0]).unwrap();
+        // The parts are 3, 1 and 2 m from the only Gaussian of a wall.
+        assert_eq!(walls.distance(&coord, &[1, 2, 3]), Some(1.0));
+        assert_eq!(walls.distance(&coord, &[1, 3]), Some(2.0));
+        assert_eq!(Walls::new(&coord, &[]).unwrap().distance(&coord, &[1]), None);
+    }
 }

@@ -180,4 +180,17 @@ mod tests {
         let long = markdown(&catalogue(&"x".repeat(1 << 20)));
         assert!(long.len() < 1000);
     }
+
+    #[test]
+    fn every_number_stands_below_its_name() {
+        let text = markdown(&catalogue("chair"));
+        let lines: Vec<Vec<&str>> =
+            text.lines().map(|line| line.split('|').map(str::trim).collect()).collect();
+        let below = |name: &str| lines[2][lines[0].iter().position(|cell| *cell == name).unwrap()];
+        // The box is 2 m by 1 m by 0.5 m, 1 m³; it is 0.25 m above the floor.
+        assert_eq!(below("length × width × height, m"), "2.00 × 1.00 × 0.50");
+        assert_eq!(below("volume, m³"), "1.000");
+        assert_eq!(below("over the floor, m"), "0.25");
+        assert_eq!(below("from a wall, m"), "–");
+    }
 }

@@ -136,4 +136,50 @@ mod tests {
             UprightBox::around(&[[0.0, 0.0, 0.0], [3.0, 4.0, 0.0], [1.5, 2.0, 0.0]]).unwrap();
         assert!(((line.high[0] - line.low[0]) - 5.0).abs() < 1e-9, "{line:?}");
     }
+
+    /// The smallest area over all directions, by trying many.
+    fn by_trying(points: &[[f32; 3]]) -> f64 {
+        let area = |turn: f64| {
+            let (sin, cos) = turn.sin_cos();
+            let side = |x: f64, y: f64| {
+                let along = points.iter().map(|p| x * f64::from(p[0]) + y * f64::from(p[1]));
+                let (low, high) = along
+                    .fold((f64::INFINITY, f64::NEG_INFINITY), |(l, h), v| (l.min(v), h.max(v)));
+                high - low
+            };
+            side(cos, sin) * side(-sin, cos)
+        };
+        (0..9000)
+            .map(|i| area(f64::from(i) * 1e-4 * std::f64::consts::TAU / 3.6))
+            .fold(f64::INFINITY, f64::min)
+    }
+
+    #[test]
+    fn no_other_direction_has_a_smaller_plan() {
+        let area =
+            |found: UprightBox| (found.high[0] - found.low[0]) * (found.high[1] - found.low[1]);
+        // Triangles with one wide angle, turned, so that each of their sides comes last in the hull once: only the long
+        // side lies along the smallest box.
+        for turn in 0..12 {
+            let (sin, cos) = (f64::from(turn) * 0.53).sin_cos();
+            let at = |x: f64, y: f64| [(cos * x - sin * y) as f32, (sin * x + cos * y) as f32, 0.0];
+            let points = [at(0.0, 0.0), at(6.0, 0.0), at(2.0, 1.0)];
+            let found = area(UprightBox::around(&points).unwrap());
+            assert!((found - 6.0).abs() < 1e-4, "{turn}: {found}");
+        }
+        // Shapes of many corners.
+        let mut state = 7u32;
+        let mut next = || {
+            state = state.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
+            (state >> 8) as f32 / 16_777_216.0
+        };
+        for shape in 0..20 {
+            let points: Vec<[f32; 3]> = (0..8).map(|_| [5.0 * next(), next(), next()]).collect();
+            let (found, tried) = (area(UprightBox::around(&points).unwrap()), by_trying(&points));
+            assert!(
+                found < tried * (1.0 + 1e-6) && found > tried * 0.99,
+                "{shape}: {found} {tried}"
+            );
+        }
+    }
 }

@@ -241,4 +241,14 @@ mod tests {
         let n = normals[0];
         assert!((n[1].abs() / n[2] - 1.0 / 8.0).abs() < 1e-6, "{n:?}");
     }
+
+    #[test]
+    fn of_several_objects_a_segment_belongs_to_the_one_with_the_fewest_vertices() {
+        // Segment 5 is part of both: the first has two segments and eleven vertices, the second three segments and three.
+        let segments = [vec![5], vec![6; 10], vec![7, 8]].concat();
+        let object = |id: i64, parts: &[i64]| (id, id.to_string(), parts.to_vec());
+        let groups = Groups { segments, objects: vec![object(0, &[5, 6]), object(1, &[5, 7, 8])] };
+        let found = groups.object_of_segment();
+        assert_eq!([5, 6, 7, 8].map(|segment| found[&segment]), [1, 0, 1, 1]);
+    }
 }

@@ -255,4 +255,22 @@ mod tests {
         let error = prepare(&far, &scan(), &[table], &PrepareSettings::default()).unwrap_err();
         assert!(error.to_string().contains("none of the 1 Gaussians"), "{error}");
     }
+
+    #[test]
+    fn labels_are_the_scans_alone_and_from_within_the_limit() {
+        // 0.4 m from the lamp, which is more than 0.25 m; 0.2 m from it; and labels that came with the scene.
+        let mut given = scene(vec![[0.6, 0.0, 0.0], [0.8, 0.0, 0.0]]);
+        given.segment = Some(vec![3, 3]);
+        let names = |list: &[&str]| list.iter().map(|n| (*n).to_owned()).collect();
+        // What one of several tables knows is known, whichever comes last.
+        let tables = [
+            LabelTable::of_names("segment", names(&["odd", "lamp"])),
+            LabelTable::of_names("segment20", names(&["sofa"])),
+        ];
+        let (found, report) =
+            prepare(&given, &scan(), &tables, &PrepareSettings::default()).unwrap();
+        assert_eq!(found.segments[0].gaussians, [-1, 1]);
+        assert_eq!((found.scene.segment, report.too_far), (None, 1));
+        assert_eq!(report.unknown, []);
+    }
 }

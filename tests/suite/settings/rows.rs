@@ -138,6 +138,7 @@ pub const TABLES: &[Table] = &[
         ("mlp_ratio", "2", Weights),
         ("drop_path", "0.6", Weights),
         ("pooling", "max", Weights),
+        ("version", "m2", Weights),
         ("grid_size", "0.2", Weights),
         ("in_channels", "12", Refused("in_channels is 12")),
         ("mask_token", "true", Refused("mask_token")),
@@ -418,6 +419,7 @@ pub const TABLES: &[Table] = &[
         ("type", "ibot", Refused("unknown field")),
         ("weight", "3.0", Weights),
         ("distance", "mean_square", Weights),
+        ("heads", "per_attribute", Weights),
     ]),
     table("views", "/self_supervised/terms/1").rows(&[
         ("type", "dino", Refused("unknown field")),

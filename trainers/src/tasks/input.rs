@@ -33,3 +33,23 @@ pub fn bad_values(batch: &TrainBatch) -> Vec<String> {
     }
     found
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_bad_value_is_named_by_its_row_in_its_scene() {
+        let mut batch = TrainBatch {
+            ids: vec!["a".to_owned(), "b".to_owned()],
+            feat: vec![0.0; 5 * 3],
+            channels: 3,
+            offsets: vec![0, 2, 5],
+            ..TrainBatch::default()
+        };
+        assert!(bad_values(&batch).is_empty());
+        // Row 3 of the batch is row 1 of the second scene.
+        batch.feat[3 * 3 + 2] = f32::NAN;
+        assert_eq!(bad_values(&batch), ["b: feat 2 of row 1 is NaN"]);
+    }
+}

@@ -182,4 +182,18 @@ mod tests {
         assert!(found.regressions.is_empty() && found.same_machine);
         assert_eq!(compare(&[], &[]).times, None);
     }
+
+    #[test]
+    fn one_record_of_another_machine_is_enough_for_times_not_to_compare() {
+        let before = ["k=1", "k=8"].map(|s| record(s, 1.0, 0.6));
+        for elsewhere in [0, 1] {
+            let mut now = ["k=1", "k=8"].map(|s| record(s, 2.0, 0.6));
+            now[elsewhere].fingerprint = "n".to_owned();
+            let found = compare(&now, &before);
+            assert_eq!((found.common, found.regressions.len()), (2, 2));
+            assert!(!found.same_machine, "{elsewhere}");
+            // Both became slower, for which nobody is to blame.
+            assert_eq!(found.failures().count(), 0, "{elsewhere}");
+        }
+    }
 }

@@ -338,4 +338,28 @@ mod tests {
         assert_eq!(shipped.weights_hash, scenesplat::embedded::sha256());
         assert!(shipped.settings.len() >= 4);
     }
+
+    #[test]
+    fn a_slow_machine_makes_only_what_is_still_to_do_longer() {
+        // 1.24 s of work after 1.5 s that have passed, four times as slow: 1.5 + 4 · 1.24 = 6.46 s.
+        let ask = Ask { seconds: Some(100.0), ..Ask::default() };
+        let choice = calibration().choose("segment", &ask, &mut size, 4.0, 1.5).unwrap();
+        assert_eq!(choice.setting, "voxel=0.06,k=25");
+        assert!((choice.seconds - 6.46).abs() < 0.05, "{}", choice.seconds);
+    }
+
+    #[test]
+    fn the_margin_is_the_larger_of_error_and_reserve() {
+        // 1.24 s of work with half more in reserve are 1.86 s; with a fifth more they would be 1.49 s.
+        for (error, reserve) in [(0.5, 0.2), (0.2, 0.5)] {
+            let mut calibration = calibration();
+            (calibration.model.error, calibration.model.reserve) = (error, reserve);
+            let within = |seconds| {
+                let ask = Ask { seconds: Some(seconds), ..Ask::default() };
+                calibration.choose("segment", &ask, &mut size, 1.0, 0.0).unwrap().setting
+            };
+            assert_eq!(within(1.95), "voxel=0.06,k=25", "{error} {reserve}");
+            assert_eq!(within(1.7), "voxel=0.24,k=1", "{error} {reserve}");
+        }
+    }
 }

@@ -128,4 +128,14 @@ mod tests {
             assert_eq!(negative_findings(&[base.clone(), other.clone()]), [], "{other:?}");
         }
     }
+
+    #[test]
+    fn a_finding_needs_spreads_that_do_not_overlap() {
+        let cheap = Point { seconds_low: 0.9, seconds_high: 1.2, ..point("k=8", 1.0, 0.7) };
+        let dear = |low| Point { seconds_low: low, ..point("k=25", 1.5, 0.7) };
+        // From 1.1 s on the dearer one still meets the cheaper one's 0.9 to 1.2 s; from 1.3 s on no more.
+        assert_eq!(negative_findings(&[cheap.clone(), dear(1.1)]), []);
+        assert_eq!(negative_findings(&[cheap.clone(), dear(1.2)]), []);
+        assert_eq!(negative_findings(&[cheap, dear(1.3)]).len(), 1);
+    }
 }

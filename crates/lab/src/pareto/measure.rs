@@ -232,7 +232,7 @@ pub fn measure(job: &Job<'_>) -> Result<Measured, ParetoError> {
     for (index, (scene, record)) in scenes.iter().zip(&mut per_scene).enumerate() {
         score(job, &mut evaluation, &mut quality, index, record).map_err(in_scene(scene))?;
     }
-    let bytes_written = bytes / (job.repeats.max(1) * scenes.len()) as u64;
+    let bytes_written = mean_bytes(bytes, job.repeats, scenes.len());
     let setting = finish(job, &names, per_scene, &quality, peak_bytes, bytes_written)?;
     let bounds = job.bounds.then(|| quality.rows(&evaluation, &setting));
     Ok(Measured { setting, bounds })
@@ -315,9 +315,7 @@ fn score(
         quality.add_bounds(evaluation, &truth)?;
     }
     let mut scores = Scores::new(job.text.len(), &job.evaluation.excluded)?;
-    // Gaussians were voted on already; points get theirs from the Gaussians around them.
-    let rule = VoteRule { points_k: job.evaluation.vote_k.max(1), ..VoteRule::of(1) };
-    scores.add_labels(&truth, labels.labels.clone(), &rule)?;
+    scores.add_labels(&truth, labels.labels.clone(), &scoring_rule(job.evaluation.vote_k))?;
     let report = scores.model.tester_report();
     record.f_miou = report.foreground_mean_iou;
     let text = (!job.network().is_classifier()).then_some(job.text);
@@ -342,6 +340,17 @@ fn score(
         write_npy(&labels_path(folder, index), &[labels.labels.len()], &labels.labels)?;
     }
     Ok(())
+}
+
+/// Bytes of a scene, of those of all repeats over all scenes.
+fn mean_bytes(bytes: u64, repeats: usize, scenes: usize) -> u64 {
+    bytes / (repeats.max(1) * scenes) as u64
+}
+
+/// How labels are brought to what is scored. Gaussians were voted on already; points get theirs from the
+/// Gaussians around them.
+fn scoring_rule(vote_k: usize) -> VoteRule {
+    VoteRule { points_k: vote_k.max(1), ..VoteRule::of(1) }
 }
 
 /// Where the labels of a scene of a set are kept.
@@ -472,4 +481,53 @@ fn file_size(path: &Path) -> Result<u64, ParetoError> {
 fn in_scene(scene: &SceneInput) -> impl FnOnce(ParetoError) -> ParetoError {
     let scene = scene.name.clone();
     move |source| ParetoError::Scene { scene, source: Box::new(source) }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::record::tests::record;
+    use super::*;
+    use scenesplat::evaluation::own_directions;
+
+    #[test]
+    fn bytes_written_are_the_mean_of_a_scene() {
+        // 3 repeats over 4 scenes are 12 results of 500 bytes.
+        assert_eq!(mean_bytes(12 * 500, 3, 4), 500);
+        // Without repeats each scene is still run once.
+        assert_eq!(mean_bytes(2 * 700, 0, 2), 700);
+    }
+
+    #[test]
+    fn only_points_are_voted_on_when_labels_are_scored() {
+        let coord = [[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [2.0, 0.0, 0.0]];
+        let said = || vec![1, 0, 0];
+        // A vote of all three Gaussians would make the first a 0: its label was voted on and stays.
+        let truth = SceneTruth::new(&coord, Some(&[1, 0, 0]), None, 2).unwrap().unwrap();
+        assert_eq!(truth.carry(said(), &scoring_rule(3)).unwrap(), [1, 0, 0]);
+        // A point beside the first Gaussian is a 0 by two of three votes, and a 1 by the nearest alone.
+        let points = [[0.1, 0.0, 0.0]];
+        let truth = SceneTruth::new(&coord, None, Some((&points, &[0])), 2).unwrap().unwrap();
+        assert_eq!(truth.carry(said(), &scoring_rule(3)).unwrap(), [0]);
+        assert_eq!(truth.carry(said(), &scoring_rule(0)).unwrap(), [1]);
+    }
+
+    #[test]
+    fn the_rows_that_are_no_settings_have_bounds_of_their_own() {
+        let text = own_directions(["wall", "chair"].map(str::to_owned).to_vec()).unwrap();
+        let settings = EvaluationSettings { vote_k: 1, ..EvaluationSettings::default() };
+        let mut evaluation = Evaluation::new(&text, settings).unwrap();
+        let coord = [[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [2.0, 0.0, 0.0], [3.0, 0.0, 0.0]];
+        let truth = SceneTruth::new(&coord, Some(&[0, 1, 1, 0]), None, 2).unwrap().unwrap();
+        let mut quality = Quality::default();
+        quality.add_bounds(&mut evaluation, &truth).unwrap();
+        // The setting's own value is 0.5, between 0.48 and 0.52.
+        let [oracle, random] = quality.rows(&evaluation, &record("k=8", 1.0, 0.5));
+        assert_eq!((oracle.kind, random.kind), (Kind::Oracle, Kind::Random));
+        // The truth answers everything right. No spread is known of either row.
+        for bound in [oracle.f_miou, oracle.f_miou_low, oracle.f_miou_high] {
+            assert!((bound.unwrap() - 1.0).abs() < 1e-6, "{bound:?}");
+        }
+        assert!(random.f_miou.is_some());
+        assert_eq!((random.f_miou_low, random.f_miou_high), (random.f_miou, random.f_miou));
+    }
 }

@@ -120,4 +120,12 @@ mod tests {
         let blind = Record { f_miou: None, ..record("k=1", 1.0, 0.5) };
         assert_eq!(Point::of(&[&records[0], &blind]).f_miou, None);
     }
+
+    #[test]
+    fn the_peak_is_that_of_the_set_that_needs_most() {
+        let of = |peak_bytes| Record { peak_bytes, ..record("k=1", 1.0, 0.5) };
+        let found = Point::of(&[&of(100), &of(700), &of(400)]);
+        assert_eq!(found.peak_bytes, 700.0);
+        assert_eq!(found.bytes_written, 1000.0);
+    }
 }

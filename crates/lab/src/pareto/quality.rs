@@ -221,4 +221,21 @@ mod tests {
         let sure = sureness(&codes, &text, &[0, 1, 1]).unwrap();
         assert_eq!(sure.agrees, [1.0, 1.0, 1.0]);
     }
+
+    #[test]
+    fn a_margin_is_the_distance_to_the_second_wherever_it_stands() {
+        let names = ["wall", "chair", "lamp"].map(str::to_owned).to_vec();
+        let text = own_directions(names).unwrap();
+        // The second stands before the highest, then behind it.
+        let rows = vec![0.6, 0.8, 0.0, 0.8, 0.6, 0.0];
+        let features = SceneFeatures::from_rows(rows, 3).unwrap();
+        let sure = sureness(&features, &text, &[1, 0]).unwrap();
+        // The scores 0.8, 0.6 and 0, divided by 0.05, are 16, 12 and 0: weights 1, e^-4 and e^-16.
+        let (second, third) = ((-4.0f32).exp(), (-16.0f32).exp());
+        let margin = (1.0 - second) / (1.0 + second + third);
+        for found in sure.margin {
+            assert!((found - margin).abs() < 2e-3, "{found} {margin}");
+        }
+        assert_eq!(sure.agrees, [1.0, 1.0]);
+    }
 }

@@ -364,4 +364,17 @@ pub(crate) mod tests {
             assert!(error.to_string().contains(what), "{error}");
         }
     }
+
+    #[test]
+    fn each_neutral_change_is_measured_for_itself() {
+        let folder = tempfile::tempdir().unwrap();
+        let mut records = Records::open(&folder.path().join("records.jsonl")).unwrap();
+        let neutral = Some("threads=1".to_owned());
+        let done = Record { kind: Kind::Neutral, neutral, ..record("k=8", 1.0, 0.5) };
+        records.append(done).unwrap();
+        let find = |neutral| records.find(Kind::Neutral, "k=8", neutral, "rooms");
+        assert!(find(Some("threads=1")).is_some());
+        assert!(find(Some("threads=4")).is_none());
+        assert!(find(None).is_none());
+    }
 }

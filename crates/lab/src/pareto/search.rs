@@ -170,4 +170,16 @@ mod tests {
         let names: Vec<String> = order(&settings, &axes()).into_iter().map(|c| c.text).collect();
         assert_eq!(names, [texts[0], texts[3], texts[2], texts[1]]);
     }
+
+    #[test]
+    fn a_part_that_only_one_setting_has_keeps_it_from_covering() {
+        let (plain, half) =
+            (candidate("voxel=0.1,k=25"), candidate("voxel=0.1,precision=bf16,k=8"));
+        assert!(!plain.covers(&half, &axes()) && !half.covers(&plain, &axes()));
+        assert!(plain.covers(&candidate("voxel=0.1,k=8"), &axes()));
+        // Only the cheap one is of the same precision: what more neighbors are worth there is unknown.
+        let all =
+            [tried("voxel=0.1,k=25", 3.0, 0.5), tried("voxel=0.1,precision=bf16,k=1", 1.0, 0.5)];
+        assert_eq!(ruled_out(&half, &all, &axes()), None);
+    }
 }

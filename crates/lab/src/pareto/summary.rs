@@ -241,4 +241,25 @@ mod tests {
         let blind = Record { f_miou: None, ..record("k=1", 1.0, 0.5) };
         assert!(Summary::of(&[blind], Around::default()).is_err());
     }
+
+    #[test]
+    fn a_rule_that_allows_differences_may_hold_without_equal_labels() {
+        let row = |holds, agreement| {
+            let around = Around { reference: "voxel=0.02,k=8".to_owned(), ..Around::default() };
+            let again = Record {
+                kind: Kind::Neutral,
+                neutral: Some("max_memory=1GB".to_owned()),
+                rule: Some("agreement >= 0.99".to_owned()),
+                holds: Some(holds),
+                agreement: Some(agreement),
+                ..record("voxel=0.02,k=8", 2.0, 0.7)
+            };
+            let all = [record("voxel=0.02,k=8", 1.0, 0.7), again];
+            let summary = Summary::of(&all, around).unwrap();
+            (summary.neutral[0].holds, summary.neutral[0].equal)
+        };
+        assert_eq!(row(true, 0.995), (true, false));
+        assert_eq!(row(true, 1.0), (true, true));
+        assert_eq!(row(false, 0.9), (false, false));
+    }
 }

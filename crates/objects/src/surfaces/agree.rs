@@ -433,4 +433,16 @@ mod tests {
         let none = ClassShares { num_classes: 0, rows: &[], row_of: &[] };
         assert!(run(&[], &none, 0.3).is_err(), "surfaces of other Gaussians");
     }
+
+    #[test]
+    fn of_a_small_piece_only_gaussians_of_its_label_take_another() {
+        // Three cells in a row, of 1, 3 and 1 Gaussians; one of the second has a label of its own.
+        let mut labels = [0, 1, 1, 2, 0];
+        let cells = Groups::new(&[0, 1, 1, 1, 2], 3, &labels);
+        let share = [1.0, 0.0, 0.0, 0.3, 0.5, 0.2, 1.0, 0.0, 0.0];
+        // A 1 has 2 square meters at least and the cell has 1; of 0 it has 0.3, more than 0.25 of 0.5.
+        let settings = AgreeSettings { least_area: &[0.0, 2.0], ..AgreeSettings::default() };
+        let changed = change_small(&mut labels, &[0, 1, 0], &cells, &share, &chain(3), &settings);
+        assert_eq!((labels, changed), ([0, 0, 0, 2, 0], 2));
+    }
 }

@@ -87,3 +87,30 @@ fn beside_small(
         distinct(beside.map(|(small, large)| (piece_of[small as usize], labels[large as usize])));
     (piece_of, beside)
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_area_of_a_piece_is_that_of_all_its_cells() {
+        // A row of five cells; the third and the fourth are one piece.
+        let labels = [0, 0, 1, 1, 0];
+        let beside = |areas: [f32; 2], least: f64| {
+            let surfaces = SceneSurfaces {
+                scales: Vec::new(),
+                cell_of: Vec::new(),
+                area: vec![5.0, 5.0, areas[0], areas[1], 5.0],
+                touching: vec![[0, 1], [1, 2], [2, 3], [3, 4]],
+            };
+            let least = |label: i32| if label == 1 { least } else { 0.0 };
+            let (piece_of, beside) = beside_small(&labels, &surfaces, least);
+            assert_eq!(piece_of, [0, 0, 2, 2, 4]);
+            beside
+        };
+        // 0.1 and 2 are 2.1 square meters together, whichever comes first.
+        assert!(beside([0.1, 2.0], 1.0).is_empty());
+        assert_eq!(beside([2.0, 0.1], 3.0), [(2, 0)]);
+        assert_eq!(beside([0.1, 2.0], 3.0), [(2, 0)]);
+    }
+}

@@ -119,6 +119,11 @@ pub struct AutomaticMasks<'a, N: ClickNetwork = Sam2> {
     settings: MaskSettings,
 }
 
+/// Of masks of the same thing the one of the smallest crop, which shows it largest, is the best.
+fn closeness([left, top, right, bottom]: [u32; 4]) -> f64 {
+    1.0 / (f64::from(right - left) * f64::from(bottom - top))
+}
+
 impl<'a, N: ClickNetwork> AutomaticMasks<'a, N> {
     /// A generator with these settings.
     ///
@@ -156,8 +161,7 @@ impl<'a, N: ClickNetwork> AutomaticMasks<'a, N> {
             all.extend(self.of_crop(picture, crop, &mut counts)?);
         }
         if self.settings.crop_layers > 0 {
-            let area = |c: [u32; 4]| f64::from(c[2] - c[0]) * f64::from(c[3] - c[1]);
-            let scores: Vec<f64> = all.iter().map(|p| 1.0 / area(p.crop)).collect();
+            let scores: Vec<f64> = all.iter().map(|p| closeness(p.crop)).collect();
             all = best(all, &scores, f64::from(self.settings.crop_nms));
         }
         counts.kept = all.len();

@@ -136,6 +136,9 @@ mod tests {
         assert_eq!(keep(&[proposal(0, 40, 0.9), proposal(5, 30, 0.8)]), [0, 1]);
         // 8 of 10 pixels inside are too few.
         assert_eq!(keep(&[proposal(0, 50, 0.9), proposal(42, 10, 0.8)]), [0, 1]);
+        // The score is the product with stability: 0.9 · 0.7 is too little.
+        let unsteady = MaskProposal { stability: 0.7, ..proposal(0, 10, 0.9) };
+        assert_eq!(keep(&[unsteady, proposal(50, 10, 0.8)]), [1]);
         // Ten pixels are too few, eleven are not.
         let mut small = [proposal(0, 1, 0.9), proposal(50, 2, 0.9)];
         assert_eq!(keep(&small), [1]);

@@ -71,6 +71,10 @@ mod tests {
         assert!(eight[8] < 0.0 && eight[5 * 7 + 6] < 0.0);
         clean(&mut logits, 7, 9);
         assert_eq!(logits[8], 10.0);
+        // A ring of eight around one: the hole is filled first, and nine are no sprinkle of eight.
+        let mut ring = picture(&[".....", ".###.", ".#.#.", ".###.", "....."]);
+        clean(&mut ring, 5, 8);
+        assert_eq!(ring.iter().filter(|v| **v > 0.0).count(), 9);
         let mut same = picture(&["#.", ".."]);
         clean(&mut same, 2, 0);
         assert_eq!(same, picture(&["#.", ".."]));

@@ -116,3 +116,16 @@ impl MaskSettings {
         Ok(())
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_limits_are_those_of_the_authors() {
+        let (own, labels) = (MaskSettings::original(), MaskSettings::scenesplat());
+        assert_eq!((own.pred_iou, own.stability, own.min_region), (0.8, 0.95, 0));
+        assert_eq!((labels.pred_iou, labels.stability, labels.min_region), (0.7, 0.85, 100));
+        assert_eq!((own.crop_layers, labels.crop_layers), (0, 1));
+    }
+}

@@ -261,3 +261,9 @@ fn masks_are_cut_off_by_crops_and_not_by_the_picture() {
     let whole = Place { picture: [616, 456], left: 0, top: 0, width: 616, height: 456 };
     assert!(!super::is_cut_off([0, 0, 615, 455], whole));
 }
+
+#[test]
+fn a_smaller_crop_is_closer() {
+    assert!((closeness([10, 20, 30, 60]) - 1.0 / 800.0).abs() < 1e-12);
+    assert!(closeness([0, 0, 50, 50]) > closeness([0, 0, 100, 50]));
+}

@@ -79,6 +79,13 @@ impl Sam2Config {
         Self::of(144, 2, [2, 6, 36, 4], [23, 33, 43], [8, 4, 16, 8], 7)
     }
 
+    /// The authors' network of this width and so many blocks.
+    pub(crate) fn known(width: Option<usize>, blocks: usize) -> Option<Self> {
+        [Self::tiny(), Self::small(), Self::base_plus(), Self::large()].into_iter().find(|config| {
+            Some(config.embed_dim) == width && config.stages.iter().sum::<usize>() == blocks
+        })
+    }
+
     /// Side of the first stage, tokens.
     pub(crate) fn side(&self) -> usize {
         self.image_size / 4
@@ -166,6 +173,35 @@ mod tests {
             change(&mut config);
             let error = config.check().unwrap_err().to_string();
             assert!(error.contains(message), "{error}");
+        }
+    }
+
+    #[test]
+    fn the_authors_networks_are_known_by_width_and_blocks() {
+        for (width, blocks, config) in [
+            (96, 12, Some(Sam2Config::tiny())),
+            (96, 16, Some(Sam2Config::small())),
+            (112, 24, Some(Sam2Config::base_plus())),
+            (144, 48, Some(Sam2Config::large())),
+            (96, 13, None),
+            (144, 12, None),
+        ] {
+            assert_eq!(Sam2Config::known(Some(width), blocks), config, "{width} {blocks}");
+        }
+        assert_eq!(Sam2Config::known(None, 12), None);
+    }
+
+    #[test]
+    fn windows_and_blocks_with_all_tokens_are_the_published_ones() {
+        // From the configuration files of the authors: window_spec, global_att_blocks, stages.
+        for (config, windows, global, stages) in [
+            (Sam2Config::tiny(), [8, 4, 14, 7], [5, 7, 9], [1, 2, 7, 2]),
+            (Sam2Config::small(), [8, 4, 14, 7], [7, 10, 13], [1, 2, 11, 2]),
+            (Sam2Config::base_plus(), [8, 4, 14, 7], [12, 16, 20], [2, 3, 16, 3]),
+            (Sam2Config::large(), [8, 4, 16, 8], [23, 33, 43], [2, 6, 36, 4]),
+        ] {
+            assert_eq!((config.window_spec, config.stages), (windows, stages));
+            assert_eq!(config.global_att_blocks, global);
         }
     }
 }

@@ -124,12 +124,7 @@ impl Sam2 {
             weights.entry(&format!("image_encoder.trunk.blocks.{i}.norm1.weight")).is_some()
         };
         let blocks = (0..).take_while(|i| block(*i)).count();
-        let known =
-            [Sam2Config::tiny(), Sam2Config::small(), Sam2Config::base_plus(), Sam2Config::large()];
-        let config = known.into_iter().find(|config| {
-            Some(config.embed_dim) == width && config.stages.iter().sum::<usize>() == blocks
-        });
-        let Some(config) = config else {
+        let Some(config) = Sam2Config::known(width, blocks) else {
             let width = width.map_or("no".to_owned(), |width| width.to_string());
             return Err(weights.bad(format!(
                 "{width} channels in {blocks} blocks are none of SAM 2 tiny, small, base_plus and large"

@@ -149,11 +149,16 @@ fn position(weights: &mut Weights, config: &Sam2Config) -> Result<Vec<f32>, Visi
                     across[x].iter().map(|(u, w)| w * f64::from(plane[v * wide + u])).sum();
                 sum += weight_y * row;
             }
-            let fine = tile[(c * window + y % window) * window + x % window];
+            let fine = tile[in_tile(c, window, [y, x])];
             *out = sum as f32 + fine;
         }
     });
     Ok(out)
+}
+
+/// Where a channel of the row and column of a token is in the window's embedding, `[C, window, window]`.
+fn in_tile(channel: usize, window: usize, [row, column]: [usize; 2]) -> usize {
+    (channel * window + row % window) * window + column % window
 }
 
 /// Bicubic interpolation as `torch.nn.functional.interpolate` does it: a = −0.75, no antialias, corners not aligned,
@@ -265,5 +270,13 @@ mod tests {
         assert_eq!(cubic(2, 1)[0].map(|t| t.1), [-0.09375, 0.59375, 0.59375, -0.09375]);
         // On a token, that token alone.
         assert_eq!(cubic(4, 12)[4], [(0, 0.0), (1, 1.0), (2, 0.0), (3, 0.0)]);
+    }
+
+    #[test]
+    fn the_embedding_of_a_window_repeats_in_rows_and_columns() {
+        // A window of 4: channel 1 begins at 16, row 5 is its row 1, column 6 its column 2.
+        assert_eq!(in_tile(1, 4, [5, 6]), 16 + 4 + 2);
+        assert_eq!(in_tile(0, 8, [7, 0]), 7 * 8);
+        assert_eq!(in_tile(2, 1, [3, 9]), 2);
     }
 }

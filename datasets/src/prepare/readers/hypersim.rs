@@ -174,7 +174,7 @@ impl PictureFiles {
                 continue;
             }
             let point = [0, 1, 2].map(|k| f64::from(point[k]) * unit);
-            let cube = point.map(|v| (v / CELL).floor());
+            let cube = cube_of(point);
             if cube.iter().any(|v| v.abs() > f64::from(i32::MAX)) {
                 let problem = format!("pixel {at} is at {point:?} meters");
                 return Err(bad_file(&place.path, problem, "is meters_per_asset_unit right?"));
@@ -188,6 +188,11 @@ impl PictureFiles {
         }
         Ok(normals.is_some())
     }
+}
+
+/// The number of the cube that a point is in along each axis.
+fn cube_of(point: [f64; 3]) -> [f64; 3] {
+    point.map(|v| (v / CELL).floor())
 }
 
 /// The one array of such a file, which is called `dataset`.
@@ -254,5 +259,17 @@ impl Array {
             return Err(bad_file(&self.path, problem, DAMAGED));
         }
         Ok(values)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn cubes_on_both_sides_of_zero_are_two() {
+        assert_eq!(CELL, 0.02);
+        assert_eq!(cube_of([-0.001, 0.001, -0.021]), [-1.0, 0.0, -2.0]);
+        assert_eq!(cube_of([0.019, 0.021, 0.0]), [0.0, 1.0, 0.0]);
     }
 }

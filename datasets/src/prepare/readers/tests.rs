@@ -158,6 +158,10 @@ fn matterport3d() {
     // Vertex 1 is in one face of each: the object that comes first; 2 is in two of the floor's, one of the rug's.
     assert_eq!(named(&scan), ["floor", "floor", "floor", "floor", "rug", "rug", "-"]);
     assert_eq!(scan.instance, [0, 0, 0, 0, 1, 1, -1]);
+    // A segment of no object says nothing.
+    mini.json(&format!("{at}.fsegs.json"), &json!({"segIndices": [7, 7, 11]}));
+    let scan = read_scan(&region, ScanLayout::Matterport3d).unwrap();
+    assert_eq!(named(&scan), ["floor", "-", "floor", "floor", "-", "-", "-"]);
     mini.json(&format!("{at}.fsegs.json"), &json!({"segIndices": [7, 7]}));
     refused(&region, ScanLayout::Matterport3d, &["fsegs.json", "of 2 faces"]);
 }
