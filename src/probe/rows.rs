@@ -322,4 +322,11 @@ mod tests {
         assert_eq!(channels(&[Color, Opacity]), [Color, Opacity, Height]);
         assert_eq!(channels(&[Height, Color]), [Height, Color]);
     }
+
+    #[test]
+    fn a_value_that_is_not_finite_is_named_by_row_and_channel() {
+        let rows = Tensor::new(&[[0.0f32; 3], [0.0, 0.0, f32::NAN]], &Device::Cpu).unwrap();
+        let error = check_finite("a", &rows).unwrap_err().to_string();
+        assert_eq!(error, "scene a: channel 2 of row 1 is NaN");
+    }
 }

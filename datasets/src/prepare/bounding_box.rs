@@ -167,6 +167,10 @@ mod tests {
             let found = area(UprightBox::around(&points).unwrap());
             assert!((found - 6.0).abs() < 1e-4, "{turn}: {found}");
         }
+        // Of this one the box with the shortest border has a plan of 54.3, the smallest plan is 45.
+        let points = [[2.0, 6.0, 0.0], [5.0, 1.0, 0.0], [8.0, 11.0, 0.0], [3.0, 8.0, 0.0]];
+        let found = area(UprightBox::around(&points).unwrap());
+        assert!((found - 45.0).abs() < 1e-4, "{found}");
         // Shapes of many corners.
         let mut state = 7u32;
         let mut next = || {

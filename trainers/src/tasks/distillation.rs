@@ -65,3 +65,28 @@ fn taught_rows(batch: &TrainBatch) -> Result<(Tensor, Vec<bool>)> {
         });
     Ok((Tensor::from_vec(values, (n, dim), &Device::Cpu)?, valid))
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn rows_without_a_feature_do_not_count_whatever_they_hold() {
+        use half::f16;
+        let batch = TrainBatch {
+            ids: vec!["a".to_owned()],
+            coord: vec![[0.0; 3]; 3],
+            offsets: vec![0, 3],
+            lang_feat: Some(scenesplat_scene::LanguageFeatures {
+                values: [3.0, 4.0, 3.0, 4.0, 0.0, 0.0].map(f16::from_f32).to_vec(),
+                dim: 2,
+            }),
+            valid_feat: Some(vec![true, false, true]),
+            ..TrainBatch::default()
+        };
+        let (target, valid) = taught_rows(&batch).unwrap();
+        // The second is marked as none, the third is zero.
+        assert_eq!(valid, [true, false, false]);
+        assert_eq!(target.to_vec2::<f32>().unwrap()[0], [0.6, 0.8]);
+    }
+}

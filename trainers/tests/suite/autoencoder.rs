@@ -69,6 +69,20 @@ fn each_row_is_compared_with_itself() {
 }
 
 #[test]
+fn the_encoder_remembers_the_statistics_of_what_it_trains_on() {
+    let (task, batch) = (task(), loader().batches(0, 0).next().unwrap().unwrap());
+    let means = || -> Vec<f32> {
+        let buffers = task.params().buffers();
+        let means = buffers.iter().filter(|(name, _)| name.ends_with("running_mean"));
+        means.flat_map(|(_, var)| var.flatten_all().unwrap().to_vec1::<f32>().unwrap()).collect()
+    };
+    assert!(!means().is_empty() && means().iter().all(|m| *m == 0.0));
+    step(&task, &batch).unwrap();
+    let moved = means().iter().filter(|m| **m != 0.0).count();
+    assert!(moved > means().len() / 2, "{moved} of {}", means().len());
+}
+
+#[test]
 fn hard_input() {
     let (task, batch) = (task(), loader().batches(0, 0).next().unwrap().unwrap());
     let none = TrainBatch { valid_feat: Some(vec![false; batch.len()]), ..batch.clone() };

@@ -276,6 +276,28 @@ fn a_teacher_begins_with_the_statistics_of_a_trained_student() {
 }
 
 #[test]
+fn frozen_statistics_stay_as_they_are_in_a_step() {
+    let module = module(&settings(vec![simdino(), ibot()]), &model(true));
+    let buffers = module.params().buffers();
+    let all = || -> BTreeMap<String, Vec<f32>> {
+        let of = |(name, var): (&String, &candle_core::Var)| {
+            let var = var.to_dtype(candle_core::DType::F32).unwrap();
+            (name.clone(), var.flatten_all().unwrap().to_vec1().unwrap())
+        };
+        module.params().buffers().iter().map(of).collect()
+    };
+    let before = all();
+    in_step(|cx| {
+        cx.forward.frozen = scenesplat_models::FrozenStatistics::new(buffers.values());
+        module.training_step(first_batch(), cx).unwrap();
+    });
+    assert_eq!(all(), before);
+    // Without it they move.
+    in_step(|cx| module.training_step(first_batch(), cx).unwrap());
+    assert_ne!(all(), before);
+}
+
+#[test]
 fn the_teacher_drops_no_path() {
     // Its batch statistics after a step are of its own activations, which no path of the student changes.
     let statistics = |drop_path: f64, compat: Compat| {

@@ -151,4 +151,23 @@ mod tests {
         assert!((evenness(&table(&[1.0, 0.0, 0.0, 1.0])).unwrap() - 1.0).abs() < 1e-6);
         assert!(evenness(&table(&[1.0, 0.0, 1.0, 0.0])).unwrap().abs() < 1e-6);
     }
+
+    #[test]
+    fn the_teacher_is_as_sharp_as_the_schedule_says_at_its_step() {
+        let mut centers = Centers::new();
+        let balance = Balance::Centering(0.9);
+        centers.add("a", 2, balance).unwrap();
+        let teacher_temperature = crate::CosineSchedule::new(1.0, 0.25);
+        let prototypes = Prototypes { balance, teacher_temperature, ..Default::default() };
+        let logits = Tensor::new(&[[1.0f32, 0.0]], &Device::Cpu).unwrap();
+        // 1 ÷ (1 + e^(−1 / T)), with T of the first and of the last step.
+        for (at, temperature) in [(0, 1.0f64), (10, 0.25)] {
+            let step =
+                Step { views: &[], masks: &[], student: &[], teacher: &[], step: at, total: 10 };
+            let (targets, _) = centers.targets("a", &logits, &prototypes, &step).unwrap();
+            let found = f64::from(targets.to_vec2::<f32>().unwrap()[0][0]);
+            let want = 1.0 / (1.0 + (-1.0 / temperature).exp());
+            assert!((found - want).abs() < 1e-5, "{at}: {found} {want}");
+        }
+    }
 }

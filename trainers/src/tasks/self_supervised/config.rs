@@ -534,3 +534,21 @@ impl SelfSupervisedConfig {
         Some(masking)
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_schedule_of_the_masked_share_sets_both_ends() {
+        let masking = Masking { ratio: [0.1, 0.2], ..Masking::default() };
+        let plain =
+            SelfSupervisedConfig { masking: Some(masking), ..SelfSupervisedConfig::default() };
+        assert_eq!(plain.masking_at(0, 10).unwrap().ratio, [0.1, 0.2]);
+        let mask_ratio = Some(CosineSchedule::new(0.3, 0.7));
+        let scheduled = SelfSupervisedConfig { mask_ratio, ..plain };
+        assert_eq!(scheduled.masking_at(0, 10).unwrap().ratio, [0.3, 0.3]);
+        let end = scheduled.masking_at(10, 10).unwrap().ratio;
+        assert!(end.iter().all(|r| (r - 0.7).abs() < 1e-12), "{end:?}");
+    }
+}

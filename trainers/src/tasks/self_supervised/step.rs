@@ -93,3 +93,27 @@ impl Step<'_> {
 pub(super) fn indices(chosen: &[bool]) -> Vec<u32> {
     (0_u32..).zip(chosen).filter(|(_, chosen)| **chosen).map(|(row, _)| row).collect()
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn masked_rows_have_their_own_weights() {
+        let masks = [
+            None,
+            Some(Masked {
+                hidden: vec![false, true, false, true],
+                weights: vec![0.0, 0.25, 0.0, 0.75],
+            }),
+            Some(Masked { hidden: vec![false; 4], weights: vec![0.0; 4] }),
+        ];
+        let step =
+            Step { views: &[], masks: &masks, student: &[], teacher: &[], step: 0, total: 1 };
+        let found = step.masked().unwrap();
+        assert_eq!(found.len(), 1, "views without a masked row are left out");
+        let (view, rows, weights) = &found[0];
+        assert_eq!((*view, rows.to_vec1::<u32>().unwrap()), (1, vec![1, 3]));
+        assert_eq!(*weights, [0.25, 0.75]);
+    }
+}

@@ -116,7 +116,7 @@ impl Terms {
         let (targets, even) = self.centers.targets("dino", &rows, prototypes, step)?;
         let targets = targets.reshape((t, b, k))?;
         let value = view_cross_entropy(&student, &targets, prototypes.student_temperature, false)?;
-        let pairs = (t * step.student.len() - t).max(1) as f64;
+        let pairs = pairs_of_views(t, step.student.len());
         let value = value.map(|value| value / pairs).transpose()?;
         Ok(TermOutput::new(value, &[("prototypes_used", even)], b))
     }
@@ -247,4 +247,21 @@ fn alignment(term: &LanguageAlignmentTerm, head: &Head, step: &Step<'_>) -> Resu
     let note = |t: &Tensor| t.to_scalar::<f32>().map(f64::from);
     let notes = [("cosine", note(&cos)?), ("l2", note(&square)?)];
     Ok(TermOutput::new(Some((cos + square)?), &notes, count))
+}
+
+/// How many pairs of a teacher's view with another view of the student there are; at least 1.
+fn pairs_of_views(teachers: usize, students: usize) -> f64 {
+    (teachers * students - teachers).max(1) as f64
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_view_is_no_pair_with_itself() {
+        // Two views of the teacher and five of the student, of which each has one in common.
+        assert_eq!(pairs_of_views(2, 5), 8.0);
+        assert_eq!(pairs_of_views(1, 1), 1.0);
+    }
 }
