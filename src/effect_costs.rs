@@ -107,12 +107,18 @@ pub fn found_effects(profile: &EffectProfile, costs: Option<&EffectCosts>) -> Ve
 impl std::fmt::Display for FoundEffect {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         write!(f, "{} of severity {:.1}", self.effect, self.severity)?;
-        if let Some(lost) = self.f_miou_lost {
-            write!(
-                f,
-                ", which costs about {:.0} points of f-mIoU in synthetic rooms",
-                100.0 * lost
-            )?;
+        match self.f_miou_lost {
+            None => {}
+            Some(lost) if lost < 0.01 => {
+                write!(f, ", which costs less than a point of f-mIoU in synthetic rooms")?;
+            }
+            Some(lost) => {
+                write!(
+                    f,
+                    ", which costs about {:.0} points of f-mIoU in synthetic rooms",
+                    100.0 * lost
+                )?;
+            }
         }
         write!(f, " ({}): {}", self.text, self.recapture)
     }

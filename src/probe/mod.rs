@@ -17,7 +17,7 @@ mod scenes;
 
 pub use classifier::{Fit, ProbeKind, ProbeSettings};
 pub use error::ProbeError;
-pub use object_set::ObjectSet;
+pub use object_set::{ObjectSet, read_file};
 pub use rows::{LabelRegime, ProbeScene, RowSource};
 pub use scenes::ProbeScenes;
 

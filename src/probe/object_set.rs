@@ -101,16 +101,24 @@ impl DataSource for ObjectSet {
         let unknown = || DataError::UnknownScene { id: id.to_owned(), known: self.ids.len() };
         let index = self.ids.iter().position(|known| known == id).ok_or_else(unknown)?;
         let (path, label) = &self.files[index];
-        let failed = |source: Box<dyn std::error::Error + Send + Sync>| DataError::Unreadable {
-            id: id.to_owned(),
-            source,
-        };
-        let (opened, _) = open_input(path, &self.options).map_err(|e| failed(e.into()))?;
-        let mut loaded = opened.loaded;
-        loaded.scene.segment = Some(vec![*label; loaded.scene.len()]);
-        loaded.scene.instance = Some(vec![0; loaded.scene.len()]);
-        Ok(SourceScene { scene: loaded.scene, report: loaded.report })
+        let mut read = read_file(id, path, &self.options)?;
+        read.scene.segment = Some(vec![*label; read.scene.len()]);
+        read.scene.instance = Some(vec![0; read.scene.len()]);
+        Ok(read)
     }
+}
+
+/// A file of any format as a scene of a source.
+///
+/// # Errors
+/// If it cannot be read; names the scene.
+pub fn read_file(id: &str, path: &Path, options: &ReadOptions) -> Result<SourceScene, DataError> {
+    let failed = |error: crate::input::InputError| DataError::Unreadable {
+        id: id.to_owned(),
+        source: error.into(),
+    };
+    let loaded = open_input(path, options).map_err(failed)?.0.loaded;
+    Ok(SourceScene { scene: loaded.scene, report: loaded.report })
 }
 
 #[cfg(test)]

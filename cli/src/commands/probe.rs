@@ -6,10 +6,10 @@ use crate::progress::{Progress, interrupted};
 use crate::terminal::{print, write_text};
 use anyhow::{Context, Result};
 use scenesplat::datasets::{DataError, DataSource, SourceScene, SyntheticRooms};
-use scenesplat::input::open_input;
 use scenesplat::network::{WeightOptions, Weights, network_of};
 use scenesplat::probe::{
     LabelRegime, ObjectSet, ProbeKind, ProbeReport, ProbeResult, ProbeScenes, ProbeSettings, probe,
+    read_file,
 };
 use scenesplat::rooms::SyntheticRoomSettings;
 use scenesplat::scene::ReadOptions;
@@ -157,14 +157,7 @@ impl DataSource for Given {
         let index = self.ids.iter().position(|known| known == id).ok_or_else(unknown)?;
         match &self.places[index] {
             Place::Room(rooms, id) => rooms.load(id),
-            Place::File(path) => {
-                let failed = |source: Box<dyn std::error::Error + Send + Sync>| {
-                    DataError::Unreadable { id: id.to_owned(), source }
-                };
-                let (opened, _) = open_input(path, &self.options).map_err(|e| failed(e.into()))?;
-                let loaded = opened.loaded;
-                Ok(SourceScene { scene: loaded.scene, report: loaded.report })
-            }
+            Place::File(path) => read_file(id, path, &self.options),
         }
     }
 }

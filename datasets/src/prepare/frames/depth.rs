@@ -1,9 +1,9 @@
 //! Depths in millimeters, in the pixels of their color camera.
 
-use super::frame::pixels;
-use super::lens::Lens;
+use super::lens::{Lens, pixels};
 use crate::DataError;
 use crate::files::bad_file;
+use crate::prepare::readers::hypersim::Array;
 use scenesplat_scene::input_file::read_file;
 use scenesplat_scene::picture::{Channels, MAX_PIXELS, Picture, Samples, is_one_shape, read_png};
 use std::path::Path;
@@ -196,4 +196,21 @@ fn pgm_header(bytes: &[u8]) -> Option<([u32; 3], usize)> {
     }
     // One white space, then the pixels.
     bytes.get(at)?.is_ascii_whitespace().then_some((out, at + 1))
+}
+
+/// A depth along the axis from distances to the camera's center, meters.
+pub(super) fn read_distance(path: &Path, lens: Lens) -> Result<DepthMap, DataError> {
+    let array = Array::open(path)?;
+    let size = match array.shape.as_slice() {
+        &[height, width] => [width, height].map(|side| u32::try_from(side).unwrap_or(u32::MAX)),
+        _ => return Err(array.bad_shape("[height, width]")),
+    };
+    let lens = lens.resized(lens.size.unwrap_or(size), size);
+    let width = size[0] as usize;
+    let along = array.f32()?.into_iter().enumerate().map(move |(at, distance)| {
+        let place = [(at % width) as f64 + 0.5, (at / width) as f64 + 0.5];
+        let [x, y] = [0, 1].map(|k| (place[k] - lens.centre[k]) / lens.focal[k]);
+        f64::from(distance) / (1.0 + x * x + y * y).sqrt()
+    });
+    Ok(DepthMap::of_metres(size, along))
 }

@@ -1,6 +1,6 @@
 //! Frames whose pictures, depths and perhaps poses are files of their own: most layouts.
 
-use super::depth::{DepthMap, read_pgm_depth, read_png_depth};
+use super::depth::{DepthMap, read_distance, read_pgm_depth, read_png_depth};
 use super::frame::{FrameFiles, Head, SkipReason};
 use super::lens::{Lens, Pose};
 use super::text::{Key, keyed, pose_file};
@@ -77,7 +77,7 @@ impl FrameFiles for SeparateFiles {
         let map = match self.depth {
             DepthOf::Png(steps) => read_png_depth(path, steps),
             DepthOf::Pgm(steps) => read_pgm_depth(path, steps),
-            DepthOf::Distance => super::hypersim::read_distance(path, entry.lens),
+            DepthOf::Distance => read_distance(path, entry.lens),
         };
         map.map(Some)
     }

@@ -1,7 +1,7 @@
 //! One frame at a time, checked.
 
 use super::depth::{DepthMap, FrameDepth};
-use super::lens::{IDENTITY, Lens, Pose, is_finite};
+use super::lens::{IDENTITY, Lens, Pose, is_finite, pixels};
 use crate::DataError;
 use crate::files::bad_file;
 use scenesplat_scene::Camera;
@@ -195,9 +195,4 @@ fn picture_kind(bytes: &[u8], path: &Path) -> Result<(&'static str, [u32; 2]), D
         let problem = format!("holds {} bytes that are no PNG or JPEG picture", bytes.len());
         bad_file(path, problem, "the file is damaged or cut short: fetch it again")
     })
-}
-
-/// Pixels of a picture; neither side is above 2³², so the product fits.
-pub(super) fn pixels(width: u32, height: u32) -> u64 {
-    u64::from(width) * u64::from(height)
 }

@@ -1,6 +1,5 @@
 //! Hypersim: tone-mapped pictures, distances from the camera, and cameras in the artists' units.
 
-use super::depth::DepthMap;
 use super::files::{DepthOf, FrameEntry, MAX_PICTURE, PoseOf, SeparateFiles, picture_at};
 use super::frame::Listed;
 use super::lens::{IDENTITY, Lens, of_opengl};
@@ -175,21 +174,4 @@ fn cells(line: &str) -> Vec<String> {
         }
     }
     out
-}
-
-/// A depth along the axis from distances to the camera's center, meters.
-pub(super) fn read_distance(path: &Path, lens: Lens) -> Result<DepthMap, DataError> {
-    let array = Array::open(path)?;
-    let size = match array.shape.as_slice() {
-        &[height, width] => [width, height].map(|side| u32::try_from(side).unwrap_or(u32::MAX)),
-        _ => return Err(array.bad_shape("[height, width]")),
-    };
-    let lens = lens.resized(lens.size.unwrap_or(size), size);
-    let width = size[0] as usize;
-    let along = array.f32()?.into_iter().enumerate().map(move |(at, distance)| {
-        let place = [(at % width) as f64 + 0.5, (at / width) as f64 + 0.5];
-        let [x, y] = [0, 1].map(|k| (place[k] - lens.centre[k]) / lens.focal[k]);
-        f64::from(distance) / (1.0 + x * x + y * y).sqrt()
-    });
-    Ok(DepthMap::of_metres(size, along))
 }

@@ -107,3 +107,8 @@ pub(super) fn product(a: &Pose, b: &Pose) -> Pose {
 pub(super) fn is_finite(pose: &Pose) -> bool {
     pose.as_flattened().iter().all(|v| v.is_finite())
 }
+
+/// Pixels of a picture; neither side is above 2³², so the product fits.
+pub(super) fn pixels(width: u32, height: u32) -> u64 {
+    u64::from(width) * u64::from(height)
+}

@@ -2,8 +2,8 @@
 
 use super::files::{DepthOf, Kind, PICTURES, SeparateFiles, paired};
 use super::frame::Listed;
-use super::lens::{IDENTITY, Pose};
-use super::sens;
+use super::lens::IDENTITY;
+use super::sens::{self, not_aligned};
 use super::text::{lens_file, numbers};
 use crate::DataError;
 use crate::files::{bad_file, entries};
@@ -49,20 +49,4 @@ fn exported(folder: &Path) -> Result<Listed, DataError> {
     let list = paired(kinds, str::to_owned, lens)?;
     let files = SeparateFiles { list, depth: DepthOf::Png(1000.0), depth_lens };
     Ok(Listed { files: Box::new(files), notes })
-}
-
-/// What is said where color and depth cameras are at different places.
-pub(super) fn not_aligned(what: &str) -> String {
-    format!(
-        "{what} is not the identity: depth and color cameras are at different places, which is not corrected; \
-         expect depths to be off by some pixels"
-    )
-}
-
-/// What is said of the two extrinsic matrices of a `.sens` file.
-pub(super) fn notes_of(color: &Pose, depth: &Pose) -> Vec<String> {
-    let named =
-        [("the extrinsic matrix of color", color), ("the extrinsic matrix of depth", depth)];
-    let off = named.into_iter().filter(|(_, pose)| **pose != IDENTITY);
-    off.map(|(name, _)| not_aligned(name)).collect()
 }

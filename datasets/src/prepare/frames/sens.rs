@@ -2,9 +2,8 @@
 
 use super::depth::DepthMap;
 use super::files::MAX_PICTURE;
-use super::frame::{FrameFiles, Head, Listed, pixels};
-use super::lens::{Lens, Pose};
-use super::scannet::notes_of;
+use super::frame::{FrameFiles, Head, Listed};
+use super::lens::{IDENTITY, Lens, Pose, pixels};
 use crate::DataError;
 use crate::files::bad_file;
 use flate2::read::ZlibDecoder;
@@ -295,4 +294,20 @@ impl Bytes {
         self.fill(&mut out, &format!("frame {index}"))?;
         Ok(out)
     }
+}
+
+/// What is said where color and depth cameras are at different places.
+pub(super) fn not_aligned(what: &str) -> String {
+    format!(
+        "{what} is not the identity: depth and color cameras are at different places, which is not corrected; \
+         expect depths to be off by some pixels"
+    )
+}
+
+/// What is said of the two extrinsic matrices of a `.sens` file.
+fn notes_of(color: &Pose, depth: &Pose) -> Vec<String> {
+    let named =
+        [("the extrinsic matrix of color", color), ("the extrinsic matrix of depth", depth)];
+    let off = named.into_iter().filter(|(_, pose)| **pose != IDENTITY);
+    off.map(|(name, _)| not_aligned(name)).collect()
 }
