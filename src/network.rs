@@ -65,7 +65,7 @@ impl WeightOptions {
     /// # Errors
     /// As [`WeightSource::files`], [`WeightSource::unwrapped`] and [`WeightSource::with_head`].
     pub fn source(
-        &self,
+        self,
         files: Vec<WeightFile>,
         is_network: impl Fn(&Shapes) -> bool,
     ) -> candle_core::Result<WeightSource> {
@@ -134,6 +134,7 @@ impl Network {
         if !device.is_cpu() && !matches!(precision, Precision::F32 | Precision::Bf16) {
             return Err(NetworkError::Precision { precision });
         }
+        let policy = options.policy;
         let (source, files) = match weights {
             Weights::Seeded(seed) => (WeightSource::hashed(*seed, ""), Vec::new()),
             Weights::Embedded => (WeightSource::tensors(crate::embedded::tensors()?), Vec::new()),
@@ -152,7 +153,7 @@ impl Network {
         let model = config.model.build(store.builder())?;
         let report = store.report();
         match weights {
-            Weights::File(path) => report.check(options.policy, &path.display().to_string())?,
+            Weights::File(path) => report.check(policy, &path.display().to_string())?,
             Weights::Embedded => report.check(LoadPolicy::Strict, crate::embedded::NAME)?,
             Weights::Seeded(_) => {}
         }

@@ -145,7 +145,7 @@ pub fn network_of(
         Some(choice) => choice.resolve_for(shapes).is_ok_and(|config| config.model.fits(shapes)),
         None => ModelConfig::recognize(shapes).is_some(),
     };
-    let shapes = options.source(folder.files, is_network)?.shapes();
+    let shapes = options.clone().source(folder.files, is_network)?.shapes();
     match choice {
         Some(choice) => choice.resolve_for(&shapes),
         None => match ModelConfig::recognize(&shapes) {

@@ -59,7 +59,7 @@ pub fn run(args: &Args, line: &str) -> Result<()> {
         head: args.head.clone(),
     };
     let is_network = |shapes: &Shapes| ModelConfig::recognize(shapes).is_some();
-    let shapes = options.source(folder.files, is_network)?.shapes();
+    let shapes = options.clone().source(folder.files, is_network)?.shapes();
 
     let candidates: Vec<(String, NetworkConfig)> = match &args.config {
         Some(choice) => {

@@ -459,8 +459,7 @@ mod tests {
                             .unwrap()
                             .loss
                     };
-                    let want = (f64::from(loss(kept + step)) - f64::from(loss(kept - step)))
-                        / (2.0 * f64::from(step));
+                    let want = (loss(kept + step) - loss(kept - step)) / (2.0 * f64::from(step));
                     pred[at] = kept;
                     let found = f64::from(gradient[at]);
                     let most = 2e-2 * want.abs() + 2e-5;

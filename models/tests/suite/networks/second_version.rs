@@ -288,7 +288,7 @@ fn published_networks_are_known_by_their_weights() {
     };
     let eleven = PointTransformerV3Config { in_channels: 11, ..sonata.clone() };
     for config in [
-        sonata.clone(),
+        sonata,
         eleven,
         PointTransformerV3Config::sonata_with_decoder(),
         PointTransformerV3Config::concerto_large(),
