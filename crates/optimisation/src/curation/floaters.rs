@@ -107,29 +107,20 @@ mod tests {
 
     #[test]
     fn far_away_a_floater_is_nearer_by_five_percent() {
-        // Measured 10 away: 9.7 is nearer by more than 0.1 but less than 5 %, 9.4 by more than both.
-        for (mean, floating) in [(7.7, 0), (7.4, 1)] {
+        let floating = |z: f32, measured: f32| {
             let row = Stored {
-                mean: [0.0, 0.0, mean],
+                mean: [0.0, 0.0, z],
                 log_scale: [-2.5; 3],
                 quat: [1.0, 0.0, 0.0, 0.0],
                 logit: 0.0,
             };
             let model = Model::from_arrays(&[row], vec![0.0; 3], 0).unwrap();
-            let frames = [frame(view(64, 48), Some(10.0))];
-            let found = floaters(&model, &frames, &RasterSettings::default()).unwrap().unwrap();
-            assert_eq!(found.count, floating, "{mean}");
-        }
-        // One away: 0.93 is nearer by more than 5 % but less than 0.1.
-        let row = Stored {
-            mean: [0.0, 0.0, -1.07],
-            log_scale: [-2.5; 3],
-            quat: [1.0, 0.0, 0.0, 0.0],
-            logit: 0.0,
+            let frames = [frame(view(64, 48), Some(measured))];
+            floaters(&model, &frames, &RasterSettings::default()).unwrap().unwrap().count
         };
-        let model = Model::from_arrays(&[row], vec![0.0; 3], 0).unwrap();
-        let frames = [frame(view(64, 48), Some(1.0))];
-        let found = floaters(&model, &frames, &RasterSettings::default()).unwrap().unwrap();
-        assert_eq!(found.count, 0);
+        // Measured 10 away: 9.7 is nearer by more than 0.1 but less than 5 %, 9.4 by more than both.
+        assert_eq!((floating(7.7, 10.0), floating(7.4, 10.0)), (0, 1));
+        // One away: 0.93 is nearer by more than 5 % but less than 0.1.
+        assert_eq!(floating(-1.07, 1.0), 0);
     }
 }
