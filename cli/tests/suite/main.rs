@@ -26,6 +26,7 @@ mod outputs;
 mod own_labels;
 mod pareto;
 mod prepare;
+mod prepare_frames;
 mod probe;
 mod reconstruct;
 mod render;
