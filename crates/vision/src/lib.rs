@@ -6,9 +6,11 @@
 //! | masks of a click or a box | [`sam2`] |
 //! | masks of everything in a picture | [`masks`] |
 //! | vectors of pictures and texts | [`siglip`] |
+//! | boxes with names | [`detector`] |
 //! | either from an ONNX file (feature `onnx`) | `onnx` |
 
 mod cross_attention;
+pub mod detector;
 mod error;
 mod layers;
 pub mod masks;
@@ -21,6 +23,7 @@ pub mod siglip;
 mod test_files;
 mod weights;
 
+pub use detector::{Detection, Detector, DetectorSettings};
 pub use error::VisionError;
 pub use masks::{AutomaticMasks, IdMap, MaskProposal, MaskSettings, paint};
 pub use sam2::{Sam2, Sam2Config};
