@@ -1,5 +1,7 @@
 //! Labels of scenes against the truth that the scenes carry.
 
+#[cfg(test)]
+mod by_hand;
 mod classes;
 mod error;
 mod neighboring_ids;

@@ -225,6 +225,9 @@ impl Classifier {
 }
 
 #[cfg(test)]
+mod by_hand;
+
+#[cfg(test)]
 mod tests {
     use super::*;
 

@@ -338,4 +338,45 @@ mod tests {
         let regimes = [LabelRegime::PerScene(3), LabelRegime::Share(0.4), LabelRegime::All];
         assert_eq!(regimes.map(count), [3, 4, 10]);
     }
+
+    #[test]
+    fn a_decoder_has_a_block_a_scale_over_the_encoder_as_it_is() {
+        let mut own = PointTransformerV3Config {
+            drop_path: 0.3,
+            mask_token: true,
+            ..PointTransformerV3Config::language()
+        }
+        .with_stages(&[[1, 24, 3], [2, 42, 7], [1, 48, 4]], &[[1, 24, 3], [1, 42, 7]], 16);
+        own.enc_patch_size = vec![16, 32, 64];
+        let model = ModelConfig { grid_size: 0.125, ..ModelConfig::new(own.clone()) };
+        let config = NetworkConfig { model, ..NetworkConfig::language() };
+        let (decoder, encoder) = networks(&config, 9).unwrap();
+        let of = |model: &ModelConfig| match &model.backbone {
+            BackboneConfig::PointTransformerV3(config) => config.clone(),
+            other => panic!("{}", other.name()),
+        };
+        let none = PointTransformerV3Config {
+            mask_token: false,
+            dec_depths: vec![],
+            dec_channels: vec![],
+            dec_num_head: vec![],
+            dec_patch_size: vec![],
+            ..own
+        };
+        assert_eq!(of(&encoder), none);
+        // 64 at the finest scale, above it as the encoder; heads of which the width is a multiple, 8 at most.
+        let with = PointTransformerV3Config {
+            dec_depths: vec![1, 1],
+            dec_channels: vec![64, 42],
+            dec_num_head: vec![8, 7],
+            dec_patch_size: vec![16, 32],
+            drop_path: 0.0,
+            ..none
+        };
+        assert_eq!(of(&decoder), with);
+        assert_eq!(
+            (decoder.grid_size, encoder.grid_size, decoder.out_channels()),
+            (0.125, 0.125, 9)
+        );
+    }
 }

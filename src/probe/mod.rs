@@ -8,6 +8,8 @@
 //! Rows are computed once, by weights that are packed for inference and have no gradient, so nothing can
 //! move them. Channels are brought to mean 0 and variance 1 over the rows that are learned from.
 
+#[cfg(test)]
+mod by_hand;
 mod classifier;
 mod decoder;
 mod error;

@@ -247,10 +247,13 @@ pub(super) fn objects(scenes: &[ProbeScene]) -> Result<Option<Objects>, ProbeErr
 }
 
 #[cfg(test)]
+mod by_hand;
+
+#[cfg(test)]
 mod tests {
     use super::*;
 
-    fn scene_of(labels: &[i32], instances: &[i32]) -> ProbeScene {
+    pub(super) fn scene_of(labels: &[i32], instances: &[i32]) -> ProbeScene {
         let values: Vec<f32> = (0..labels.len() * 2).map(|v| v as f32).collect();
         ProbeScene {
             id: "s".to_owned(),

@@ -111,4 +111,19 @@ mod tests {
         // First 4 · 0.5 = 2 against 2 · 0.9 and 1. Then things 0 and 1 count ½ each: (½ + ½) · 0.9 = 0.9 against 1.
         assert_eq!(choose_pictures(&pictures, 5, 3), [0, 2, 1]);
     }
+
+    #[test]
+    fn of_equal_pictures_the_first_is_picked_and_worth_halves_each_time() {
+        let pictures = [shown(&[0], 0.5), shown(&[1], 0.5), shown(&[1, 2], 0.25), shown(&[0], 0.3)];
+        // All but the last add 0.5. Then 1 adds 0.5 and 2 as much; after it 2 adds (½ + 1) / 4 and the last ½ · 0.3.
+        assert_eq!(choose_pictures(&pictures, 3, 4), [0, 1, 2, 3]);
+        assert_eq!(choose_pictures(&pictures, 3, 0), [0; 0]);
+        // Of a thing that two have shown a quarter is left: 0.25 against 0.26 of a new one, 0.25 against 0.24.
+        for (quality, third) in [(0.26, 3), (0.24, 2)] {
+            let again =
+                [shown(&[0], 1.0), shown(&[0], 1.0), shown(&[0], 1.0), shown(&[1], quality)];
+            assert_eq!(choose_pictures(&again, 2, 3), [0, 1, third]);
+        }
+        assert_eq!(relative_sharpness(&[f64::INFINITY, -1.0, 4.0]), [0.05, 0.05, 1.0]);
+    }
 }

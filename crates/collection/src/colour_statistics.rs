@@ -228,4 +228,34 @@ mod tests {
         let four = [([2, 3, 7], 0.75), ([2, 4, 7], 0.25), ([3, 3, 7], 0.75), ([3, 4, 7], 0.25)];
         check([48.0, -13.5, 54.0], &four);
     }
+
+    #[test]
+    fn colors_beyond_the_cells_fall_into_the_outermost() {
+        let only = |color: [f32; 3], cell: [usize; 3]| {
+            let mut cells = vec![0.0f64; 6 * 9 * 9];
+            add(&mut cells, color, 3.0);
+            let [l, a, b] = cell;
+            assert!((cells[(l * 9 + a) * 9 + b] - 3.0).abs() < 1e-9, "{color:?}");
+            assert!((cells.iter().sum::<f64>() - 3.0).abs() < 1e-9);
+        };
+        // Lightness has middles from 8 to 88, the others from −72 to 72.
+        only([2.0, -90.0, 110.0], [0, 0, 8]);
+        only([100.0, 90.0, -110.0], [5, 8, 0]);
+        only([88.0, 72.0, -72.0], [5, 8, 0]);
+        only([8.0, 0.0, 0.0], [0, 4, 4]);
+        // A row is √¾, then the root of a quarter of each share. Black is lightness 0 of the middle of both others.
+        let row = ColourStatistics::of_colour([0; 3]);
+        assert_eq!((row.len(), ColourStatistics::WIDTH, ColourStatistics.width()), (487, 487, 487));
+        assert!((row[0] - 0.75f32.sqrt()).abs() < 1e-6 && (row[1 + 4 * 9 + 4] - 0.5).abs() < 1e-4);
+        assert_eq!(ColourStatistics.name(), "colour");
+        let pictures = [RgbPicture::filled(1, 1, [9; 3]), RgbPicture::filled(3, 0, [1; 3])];
+        let error = ColourStatistics.encode(&pictures).unwrap_err().to_string();
+        assert!(error.contains("picture: number 1 has no pixels"), "{error}");
+        // Rows follow each other; red, green and blue are not exchanged.
+        let colors = [[200, 40, 10], [10, 200, 40], [40, 10, 200]];
+        let all = ColourStatistics.encode(&colors.map(|c| RgbPicture::filled(2, 1, c))).unwrap();
+        for (row, color) in all.chunks_exact(487).zip(colors) {
+            assert_eq!(row, ColourStatistics::of_colour(color));
+        }
+    }
 }

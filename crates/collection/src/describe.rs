@@ -320,4 +320,61 @@ mod tests {
         let got = &found.features[3..];
         assert!((0..3).all(|k| (f64::from(got[k]) - want[k]).abs() < 1e-5), "{got:?} {want:?}");
     }
+
+    #[test]
+    fn a_batch_takes_32_crops_or_64_mib() {
+        let encoder = Means(Mutex::default());
+        let crop = RgbPicture::filled(5, 5, [1; 3]);
+        let batch = |count: usize, bytes: usize| {
+            let pictures = vec![crop.clone(); count];
+            Batch { encoder: &encoder, pictures, bytes }.fits(&crop)
+        };
+        // Two crops of 25 pixels are 150 bytes more.
+        let most = 64 * 1024 * 1024 - 150;
+        assert!(batch(30, 0) && !batch(31, 0) && batch(2, most) && !batch(2, most + 1));
+        // One that is too large by itself goes alone.
+        assert!(batch(0, most + 1));
+        let mut batch = Batch { encoder: &encoder, pictures: Vec::new(), bytes: 0 };
+        batch.push(crop.clone());
+        batch.push(RgbPicture::filled(2, 1, [4; 3]));
+        assert_eq!(batch.bytes, 75 + 6);
+        let (mut around, mut alone) = (Vec::new(), Vec::new());
+        batch.flush(&mut around, &mut alone).unwrap();
+        assert_eq!((around, alone, batch.bytes), (vec![1.0; 3], vec![4.0; 3], 0));
+    }
+
+    #[test]
+    fn frames_have_an_encoder_of_their_own_and_crops_are_checked_too() {
+        /// Frames are told from crops, of which the last is bad.
+        struct Two(usize);
+        impl PictureEncoder for Two {
+            fn name(&self) -> String {
+                "two".to_owned()
+            }
+            fn width(&self) -> usize {
+                2
+            }
+            fn encode(&self, pictures: &[RgbPicture]) -> Result<Vec<f32>, CollectError> {
+                let mut rows = [0.0, 1.0].repeat(pictures.len());
+                rows[self.0] = f32::INFINITY;
+                Ok(rows)
+            }
+            fn encode_frame(&self, frame: &RgbPicture) -> Result<Vec<f32>, CollectError> {
+                assert_eq!((frame.width(), frame.height()), (3, 2));
+                Ok(vec![1.0, 0.0])
+            }
+        }
+        let picture = RgbPicture::filled(3, 2, [1, 2, 3]);
+        let map = SegmentMap::new(3, 2, vec![0; 6]).unwrap();
+        let settings = DescribeSettings::default();
+        assert!(!settings.original);
+        for column in [0, 1] {
+            let error = describe(&picture, &map, &Two(2 + column), settings).unwrap_err();
+            let want = format!("features: two gave inf in column {column}");
+            assert!(error.to_string().contains(&want), "{error}");
+        }
+        // The default of a frame is that of any picture.
+        let means = Means(Mutex::default());
+        assert_eq!(means.encode_frame(&picture).unwrap(), [1.0, 2.0, 3.0]);
+    }
 }

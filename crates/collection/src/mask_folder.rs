@@ -169,4 +169,37 @@ mod tests {
         let posed = PosedPicture { name: "first", picture: &picture, view: &view, depth: None };
         assert_eq!(folder.segment(&posed).unwrap().map.ids(), [NO_SEGMENT, 0]);
     }
+
+    #[test]
+    fn ids_that_a_smaller_picture_does_not_show_are_left_out() {
+        let dir = tempfile::tempdir().unwrap();
+        // Of four by two the nearest pixels of two by one are columns 1 and 3 of the last row, or 0 and 2 of the first.
+        let ids = vec![8, 8, 5, 5, 8, 8, 5, 5];
+        write(&dir.path().join("a.png"), 4, 2, Channels::Gray, Samples::Eight(ids));
+        let ids = vec![255, 6, 6, 6, 6, 6, 6, 6];
+        write(&dir.path().join("b.png"), 4, 2, Channels::Gray, Samples::Eight(ids));
+        let open = |none| {
+            let mut folder = MaskFolder::open(dir.path(), none).unwrap();
+            folder.assign(&[["a", "a"], ["b", "b"]]).unwrap();
+            folder
+        };
+        let (view, picture) = (view(2, 1), RgbPicture::filled(2, 1, [5; 3]));
+        let of = |name| PosedPicture { name, picture: &picture, view: &view, depth: None };
+        let found = open(None).segment(&of("a")).unwrap();
+        assert_eq!((found.map.ids(), found.left_out), (&[1, 0][..], 0));
+        // With 6 as none 255 is an id: of one pixel, which the small picture may miss. It is found either way.
+        let found = open(Some(6)).segment(&of("b")).unwrap();
+        let shown = found.map.ids().iter().filter(|id| **id != NO_SEGMENT).count();
+        assert_eq!(shown + found.left_out, 1);
+        assert_eq!(
+            (open(None).name(), open(Some(6)).name()),
+            ("masks".into(), "masks without 6".into())
+        );
+        assert!(!open(None).wants_depth());
+        let other = RgbPicture::filled(3, 1, [5; 3]);
+        assert!(open(None).segment(&PosedPicture { picture: &other, ..of("a") }).is_err());
+        let empty = tempfile::tempdir().unwrap();
+        let error = MaskFolder::open(empty.path(), None).unwrap_err().to_string();
+        assert!(error.contains("holds no .png (a folder of id maps"), "{error}");
+    }
 }

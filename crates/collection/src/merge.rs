@@ -205,6 +205,8 @@ impl Sets {
 }
 
 #[cfg(test)]
+mod by_hand;
+#[cfg(test)]
 mod tests {
     use super::*;
     use crate::surface::Surface;

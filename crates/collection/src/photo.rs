@@ -211,4 +211,35 @@ mod tests {
             assert!(fit_photo(&path, &camera(4, 6)).is_err(), "mark {mark}");
         }
     }
+
+    #[test]
+    fn photos_are_turned_and_cameras_scaled_at_once_where_both_are_needed() {
+        let dir = tempfile::tempdir().unwrap();
+        let path = dir.path().join("a.png");
+        let photo = RgbPicture::from_fn(6, 4, |x, y| [10 * x as u8, 10 * y as u8, 0]);
+        let fit = |mark, camera: &Camera| {
+            write(&path, &photo, mark);
+            let (found, at, remarks) = fit_photo(&path, camera).unwrap();
+            ((found.width(), found.height(), found.get(0, 0).unwrap()), at, remarks)
+        };
+        use PhotoRemark::{CameraScaled, MarkIgnored, Turned};
+        // Four times as large and standing: turned by a quarter, and the camera is a quarter of itself.
+        let large = Camera { fy: 80.0, cx: 7.0, ..camera(16, 24) };
+        let (seen, at, remarks) = fit(Some(6), &large);
+        assert_eq!((seen, remarks), ((4, 6, [0, 30, 0]), vec![Turned(6), CameraScaled]));
+        assert_eq!(
+            (at.width, at.height, at.fx, at.fy, at.cx, at.cy),
+            (4, 6, 25.0, 20.0, 1.75, 3.0)
+        );
+        // Lying it fits as it is stored; a mark that turns by a half is not needed either.
+        let (seen, at, remarks) = fit(Some(3), &camera(12, 8));
+        assert_eq!((seen, remarks), ((6, 4, [0; 3]), vec![MarkIgnored(3), CameraScaled]));
+        assert_eq!((at.width, at.fx), (6, 50.0));
+        // The mark of a picture that lies as it was taken says nothing.
+        assert_eq!(fit(Some(1), &camera(6, 4)).2, []);
+        // A square fits as it is stored whatever its mark says.
+        let error = fit_photo(&path, &camera(9, 4)).unwrap_err().to_string();
+        assert!(error.contains("is 6×4, its camera \"a\" is 9×4"), "{error}");
+        assert!(fit_photo(&dir.path().join("none.png"), &camera(6, 4)).is_err());
+    }
 }

@@ -209,6 +209,8 @@ fn means(pixels: &Pixels, ids: &[u32], count: usize, before: &[Center]) -> Vec<C
 }
 
 #[cfg(test)]
+mod by_hand;
+#[cfg(test)]
 mod tests {
     #![allow(clippy::unwrap_used, reason = "a test may fail loudly")]
     use super::*;

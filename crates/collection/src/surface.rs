@@ -106,6 +106,8 @@ fn smoothed(normals: &[Vec3], points: &[Vec3], width: usize, height: usize) -> V
 }
 
 #[cfg(test)]
+mod by_hand;
+#[cfg(test)]
 mod tests {
     use super::*;
     use crate::segmenter::tests::view;

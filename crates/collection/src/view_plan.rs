@@ -301,6 +301,8 @@ fn direction(azimuth: f64, pitch: f64) -> DVec3 {
 }
 
 #[cfg(test)]
+mod by_hand;
+#[cfg(test)]
 mod tests {
     #![allow(clippy::unwrap_used, reason = "a test may fail loudly")]
     use super::*;

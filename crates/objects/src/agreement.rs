@@ -147,4 +147,30 @@ mod tests {
         let agreement = Agreement::of(&nothing, &instances, &[0; 30], 10);
         assert_eq!((&agreement.missed[..], agreement.truth), (&[1, 2][..], 2));
     }
+
+    #[test]
+    fn counts_are_of_what_has_an_instance_and_small_ones_may_be_found() {
+        // Instance 4 of six rows, class 2, whose rows 6 and 7 have none; 7 of three rows, class 0; 9 of four, class 1.
+        let instances = [4, 4, 4, 4, 4, 4, -1, -1, 7, 7, 7, 9, 9, 9, 9, 5];
+        let labels = [2, 2, 2, 2, 0, 0, 2, 2, 0, 0, 0, 1, 1, 1, 1];
+        let found = Catalogue {
+            // Five of six and two of nothing: 5 / 8. All of a small one. Two of four: 2 / 4 is not above a half.
+            objects: vec![object(2, 1..8), object(0, 8..11), object(1, 13..15), object(1, 15..18)],
+            floor: Floor { height: 0.0, is_labelled: true, is_given: false },
+            left_over: 0,
+            small_instances: 0,
+            nameless_instances: 0,
+            gaussians: 18,
+        };
+        let agreed = Agreement::of(&found, &instances, &labels, 4);
+        let matches =
+            [Match { found: 0, truth: 4, iou: 0.625 }, Match { found: 1, truth: 7, iou: 1.0 }];
+        assert_eq!(agreed.matches, matches);
+        assert_eq!(
+            (agreed.found, agreed.truth, &agreed.missed[..], &agreed.wrong[..]),
+            (4, 3, &[9][..], &[2, 3][..])
+        );
+        assert_eq!((agreed.precision(), agreed.recall()), (0.5, 2.0 / 3.0));
+        assert_eq!((Agreement::default().precision(), Agreement::default().recall()), (1.0, 1.0));
+    }
 }

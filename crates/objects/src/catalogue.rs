@@ -296,35 +296,4 @@ impl Catalogue {
 }
 
 #[cfg(test)]
-mod tests {
-    use super::*;
-    use scenesplat_scene::GaussianScene;
-
-    #[test]
-    fn only_labeled_gaussians_of_instances_are_taken_from_what_is_left_over() {
-        let scene = GaussianScene {
-            coord: (0..7_u8).map(|x| [f32::from(x), 0.0, 0.0]).collect(),
-            ..GaussianScene::default()
-        };
-        // Five have a label, two of which are in the instance; two of the instance have none.
-        let labels = [0, 0, -1, -1, 0, 0, 0];
-        let instances = [3, 3, 3, 3, -1, -1, -1];
-        let names = ["chair".to_owned()];
-        let input = ObjectInput {
-            scene: &scene,
-            labels: &labels,
-            scores: None,
-            instances: Some(&instances),
-            features: None,
-            names: &names,
-            upright: [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]],
-            metres_per_unit: 1.0,
-            floor: None,
-        };
-        let settings = ObjectSettings { min_count: 1, ..ObjectSettings::default() };
-        let found = find_objects(&input, &settings).unwrap();
-        assert_eq!(found.objects.iter().map(|o| o.count).collect::<Vec<_>>(), [4]);
-        // 5 - 2.
-        assert_eq!(found.left_over, 3);
-    }
-}
+mod tests;

@@ -159,4 +159,42 @@ mod tests {
         assert_eq!(found(&[0.5, 2.0], 2.0), [vec![0, 1]]);
         assert_eq!(found(&[0.1, 2.9], 2.0), [vec![0], vec![1]]);
     }
+
+    #[test]
+    fn cells_are_joined_in_space_whatever_the_order_of_rows() {
+        // Two steps along each axis and along diagonals; 62 of 124 cells around are looked at, no two opposite.
+        let steps: Vec<[i32; 3]> = forward_steps().collect();
+        assert_eq!(steps.len(), 62);
+        assert!(
+            steps.iter().all(|s| !steps.contains(&s.map(|v| -v)) && s.iter().all(|v| v.abs() <= 2))
+        );
+        for offset in [[0.09, 0.0, 0.0], [0.0, -0.09, 0.0], [0.0, 0.0, 0.09], [-0.05, 0.05, 0.05]] {
+            let coord = [[0.5, 0.5, 0.5], offset.map(|v: f32| 0.5 + v), [9.0, 9.0, 9.0]];
+            assert_eq!(
+                pieces(&[0, 1, 2], &coord, 0.1, &|_| None, 0.0),
+                [vec![0, 1], vec![2]],
+                "{offset:?}"
+            );
+        }
+        // A cosine at the limit joins; without a feature anything does.
+        let coord = line(&[0.0, 0.06]);
+        let feature =
+            |rows: &[u32]| Some(if rows[0] == 0 { vec![1.0, 0.0] } else { vec![0.5, 0.8] });
+        let count = |least: f32| pieces(&[0, 1], &coord, 0.1, &feature, least).len();
+        assert_eq!([count(0.5), count(0.51)], [1, 2]);
+        let half = |rows: &[u32]| (rows[0] == 0).then(|| vec![1.0]);
+        assert_eq!(pieces(&[0, 1], &coord, 0.1, &half, 1.0).len(), 1);
+        // Pieces come by their first row; a center is the mean of its rows.
+        let coord = line(&[5.0, 0.02, 5.01, 0.01]);
+        assert_eq!(pieces(&[0, 1, 2, 3], &coord, 0.1, &|_| None, 0.0), [vec![0, 2], vec![1, 3]]);
+        let (order, cells) = in_cells(&[0, 1, 2, 3], &coord, 0.5);
+        assert_eq!(
+            (order, cells[0].at, cells[1].at, cells[1].rows.clone()),
+            (vec![1, 3, 0, 2], [0; 3], [10, 0, 0], 2..4)
+        );
+        assert!((cells[1].center - DVec3::new(5.005, 0.0, 0.0)).length() < 1e-6);
+        let mut joined = Joined::new(6);
+        [(4, 5), (3, 4), (5, 1)].into_iter().for_each(|(a, b)| joined.join(a, b));
+        assert_eq!([0, 1, 2, 3, 4, 5].map(|i| joined.root(i)), [0, 1, 2, 1, 1, 1]);
+    }
 }

@@ -233,4 +233,119 @@ mod tests {
         assert!(!are_sides(&one, &side(0.12, 0.0)), "one across the other");
         assert!(!are_sides(&one, &side(0.5, -1.57)), "too far apart");
     }
+
+    #[test]
+    fn a_fragment_joins_by_its_share_and_its_distance() {
+        // Lines of 100 and of a few Gaussians, one above another in plan; how many pieces are left.
+        let left = |few: usize, beside: f32, over: f32, min_count: usize| {
+            let mut coord = Vec::new();
+            let long = block(&mut coord, [0.0; 3], [1.0, 0.0, 0.0], [100, 1, 1]);
+            let short = block(&mut coord, [0.2, beside, over], [0.1, 0.0, 0.0], [few, 1, 1]);
+            join(vec![short, long], &coord, 0.1, min_count, false).len()
+        };
+        // 35 of 100 at most, 2.5 gaps of 0.1 m.
+        assert_eq!([left(35, 0.2, 0.0, 1), left(36, 0.2, 0.0, 1)], [1, 2]);
+        assert_eq!([left(9, 0.24, 0.0, 1), left(9, 0.26, 0.0, 1)], [1, 2]);
+        assert_eq!([left(9, 0.15, 0.19, 1), left(9, 0.15, 0.21, 1)], [1, 2]);
+        // What is no object takes nothing in.
+        assert_eq!([left(9, 0.2, 0.0, 100), left(9, 0.2, 0.0, 101)], [1, 2]);
+        // Plates of 64 above each other join over 0.35 m.
+        let stacked = |over: f32| {
+            let mut coord = Vec::new();
+            let plates =
+                [0.0, over].map(|z| block(&mut coord, [0.0, 0.0, z], [0.5, 0.4, 0.0], [8, 8, 1]));
+            join(plates.to_vec(), &coord, 0.01, 1, false).len()
+        };
+        assert_eq!([stacked(0.34), stacked(0.36)], [1, 2]);
+        // The nearest takes it, of equally near ones the larger; rows rise in a piece, pieces keep their order.
+        let owner = |y: f32| {
+            let mut coord = Vec::new();
+            let bit = block(&mut coord, [0.0, y, 0.0], [0.1, 0.0, 0.0], [4, 1, 1]);
+            let lines = [(0.0, 50), (0.25, 60)]
+                .map(|(y, n)| block(&mut coord, [0.0, y, 0.0], [1.0, 0.0, 0.0], [n, 1, 1]));
+            let found = join(vec![lines[0].clone(), bit, lines[1].clone()], &coord, 0.1, 1, false);
+            assert!(found.iter().all(|rows| rows.is_sorted()));
+            [found[0].len(), found[1].len()]
+        };
+        assert_eq!([owner(0.1), owner(0.15), owner(0.125)], [[54, 60], [50, 64], [50, 64]]);
+    }
+
+    #[test]
+    fn boxes_are_over_each_other_pairs_and_sides_up_to_their_limits() {
+        let at = |center: [f64; 3], size: [f64; 3], yaw: f64| UprightBox { center, size, yaw };
+        // Of 7 columns of a plan of 1 m five lie over what begins at −0.25, four at −0.1: 0.6 of 49 are 29.4.
+        let small = at([0.0; 3], [1.0, 1.0, 1.0], 0.0);
+        let large = |edge: f64| at([edge + 2.0, 0.3, 5.0], [4.0, 3.0, 1.0], 0.0);
+        for (edge, over) in [(-0.25, true), (-0.1, false)] {
+            assert_eq!(
+                (is_over(&small, &large(edge)), is_over(&large(edge), &small)),
+                (over, over)
+            );
+        }
+        // Turned a quarter, a long one is over what lies along y.
+        let shelf = at([0.0; 3], [2.0, 0.1, 0.1], std::f64::consts::FRAC_PI_2);
+        assert!(is_over(&shelf, &at([0.0; 3], [3.0, 0.4, 0.1], std::f64::consts::FRAC_PI_2)));
+        assert!(!is_over(&shelf, &at([0.0; 3], [3.0, 0.4, 0.1], 0.0)));
+        let left = at([0.0, 0.0, 1.0], [0.5, 0.08, 2.0], 0.0);
+        let pair =
+            |center: [f64; 3], size: [f64; 3], yaw: f64| is_pair(&left, &at(center, size, yaw));
+        let cases = [
+            (pair([2.69, 0.0, 1.0], [0.5, 0.08, 2.0], 0.0), true, "2.19 m between them"),
+            (pair([2.71, 0.0, 1.0], [0.5, 0.08, 2.0], 0.0), false, "2.21 m"),
+            (pair([1.0, 0.0, 1.1], [0.5, 0.3, 2.28], 0.0), true, "0.04 m lower and 0.24 m higher"),
+            (pair([1.0, 0.0, 1.14], [0.5, 0.08, 2.26], 0.0), false, "0.27 m higher"),
+            (pair([1.0, 0.0, 0.86], [0.5, 0.08, 2.26], 0.0), false, "0.27 m lower"),
+            (pair([1.0, 0.0, 1.0], [0.5, 0.31, 2.0], 0.0), false, "too thick"),
+            (pair([1.0, 0.15, 1.0], [0.5, 0.08, 2.0], 0.0), true, "0.989 along the line between"),
+            (pair([1.0, 0.25, 1.0], [0.5, 0.08, 2.0], 0.0), false, "0.970"),
+            (pair([1.0, 0.0, 1.0], [0.36, 0.08, 2.0], 1.0), false, "turned"),
+            (pair([1.0, 0.0, 1.0], [0.34, 0.08, 2.0], 1.0), true, "turned, but narrow"),
+        ];
+        for (found, want, text) in cases {
+            assert_eq!(found, want, "{text}");
+        }
+        let low = |high: f64| at([0.0, 0.0, high / 2.0], [0.5, 0.08, high], 0.0);
+        let beside = |high: f64| at([1.0, 0.0, high / 2.0], [0.5, 0.08, high], 0.0);
+        assert_eq!([0.81, 0.79].map(|high| is_pair(&low(high), &beside(high))), [true, false]);
+        let wall = |size: [f64; 3]| is_wall(&at([0.0; 3], size, 0.0));
+        let sizes = [[1.01, 0.29, 0.81], [0.99, 0.2, 2.0], [2.0, 0.31, 2.0], [2.0, 0.2, 0.79]];
+        assert_eq!(sizes.map(wall), [true, false, false, false]);
+        // Of two walls along x, 5 cm thick: what is 19 cm between them, not 21; 0.7 of the shorter in common.
+        let one = at([0.0, 0.0, 1.0], [3.0, 0.05, 2.0], 0.0);
+        let side =
+            |center: [f64; 3], size: [f64; 3], yaw: f64| are_sides(&one, &at(center, size, yaw));
+        let found = [
+            side([0.0, 0.24, 1.0], [3.0, 0.05, 2.0], 0.0),
+            side([0.0, 0.26, 1.0], [3.0, 0.05, 2.0], 0.0),
+            side([1.79, 0.1, 1.0], [2.0, 0.05, 2.0], 0.0),
+            side([1.0, 0.1, 1.0], [2.0, 0.05, 2.0], 0.0),
+            side([1.2, 0.1, 1.0], [2.0, 0.05, 2.0], 0.0),
+            side([0.0, 0.1, 3.1], [3.0, 0.05, 2.0], 0.0),
+            side([0.0, 0.1, 1.0], [3.0, 0.05, 2.0], 0.09),
+            side([0.0, 0.1, 1.0], [3.0, 0.05, 2.0], 0.11),
+        ];
+        assert_eq!(found, [true, false, false, true, false, false, true, false]);
+    }
+
+    #[test]
+    fn sides_of_a_wall_become_one_piece() {
+        let mut coord = Vec::new();
+        let wall = |coord: &mut Vec<[f32; 3]>, y: f32, high: f32| {
+            block(coord, [0.0, y, 0.0], [2.0, 0.02, high], [20, 2, 10])
+        };
+        let pieces = vec![
+            wall(&mut coord, 0.0, 2.0),
+            wall(&mut coord, 3.0, 2.0),
+            wall(&mut coord, 0.15, 2.0),
+            wall(&mut coord, 3.1, 0.5),
+        ];
+        let found = join_sides(pieces, &coord);
+        assert_eq!(found.iter().map(Vec::len).collect::<Vec<_>>(), [800, 400, 400]);
+        assert!(found[0].contains(&0) && found[0].contains(&800));
+        let empty = vec![vec![0], Vec::new()];
+        assert_eq!(
+            (join(empty.clone(), &coord, 0.1, 1, false), join_sides(empty.clone(), &coord)),
+            (empty.clone(), empty)
+        );
+    }
 }

@@ -129,4 +129,86 @@ mod tests {
             assert_eq!(input.upright_normal(row), None, "{row}");
         }
     }
+
+    const NAMES: [&str; 2] = ["chair", "wall"];
+
+    #[test]
+    fn places_and_normals_are_turned_and_scaled_and_back() {
+        // Up is −y: x, z and −y of the scene are x, y and z; a unit is half a meter.
+        let upright_axes = [[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]];
+        let (half, names) = (std::f32::consts::FRAC_1_SQRT_2, NAMES.map(str::to_owned));
+        let scene = GaussianScene {
+            coord: vec![[2.0, -4.0, 6.0]; 3],
+            // Flat across its own z, x and y.
+            log_scale: vec![[-1.0, -2.0, -3.01], [-4.0, -1.0, -2.9], [-1.0, -3.0, -2.0]],
+            // A quarter turn about x brings z to −y and y to z.
+            quat: vec![[half, half, 0.0, 0.0]; 3],
+            ..GaussianScene::default()
+        };
+        let input = ObjectInput {
+            scene: &scene,
+            labels: &[0; 3],
+            scores: None,
+            instances: None,
+            features: None,
+            names: &names,
+            upright: upright_axes,
+            metres_per_unit: 0.5,
+            floor: Some(0.0),
+        };
+        assert_eq!(input.upright(), [[1.0, 3.0, 2.0]; 3]);
+        assert_eq!(input.to_scene([1.0, 3.0, 2.0]), [2.0, -4.0, 6.0]);
+        let near = |row: usize, want: [f32; 3]| {
+            let found = input.upright_normal(row).unwrap();
+            assert!(found.iter().zip(want).all(|(a, b)| (a - b).abs() < 1e-6), "{row}: {found:?}");
+        };
+        // −y of the scene is up; x stays; the third is thinner by 1 exactly, which is not above.
+        near(0, [0.0, 0.0, 1.0]);
+        near(1, [1.0, 0.0, 0.0]);
+        assert_eq!((input.upright_normal(2), input.upright_normal(3)), (None, None));
+        input.check().unwrap();
+        let (scores, ids) = ([0.5; 2], [0; 4]);
+        let swapped = [upright_axes[1], upright_axes[0], upright_axes[2]];
+        let cases = [
+            (
+                ObjectInput { labels: &[0; 2], ..input },
+                "labels: expected 3 rows, one a Gaussian, got 2",
+            ),
+            (
+                ObjectInput { scores: Some(&scores), ..input },
+                "scores: expected 3 rows, one a Gaussian, got 2",
+            ),
+            (
+                ObjectInput { instances: Some(&ids), ..input },
+                "instances: expected 3 rows, one a Gaussian, got 4",
+            ),
+            (
+                ObjectInput { labels: &[-5, 1, 2], ..input },
+                "labels[2] is 2, but there are 2 names; give the names of these labels",
+            ),
+            (
+                ObjectInput { metres_per_unit: 0.0, ..input },
+                "metres_per_unit: 0 is not possible, expected a finite number above 0",
+            ),
+            (
+                ObjectInput { metres_per_unit: f64::INFINITY, ..input },
+                "metres_per_unit: inf is not possible, expected a finite number above 0",
+            ),
+            (
+                ObjectInput { floor: Some(f64::NAN), ..input },
+                "floor: NaN is not possible, expected a finite height, meters",
+            ),
+        ];
+        for (input, want) in cases {
+            assert_eq!(input.check().unwrap_err().to_string(), want);
+        }
+        let skewed = [[1.0, 0.0, 0.0], [0.6, 0.8, 0.0], [0.0, 0.0, 1.0]];
+        for upright in [swapped, skewed, upright_axes.map(|row| row.map(|v| 1.1 * v))] {
+            let error = ObjectInput { upright, ..input }.check().unwrap_err().to_string();
+            assert!(
+                error.starts_with("upright: ") && error.ends_with("at right angles"),
+                "{error}"
+            );
+        }
+    }
 }

@@ -174,4 +174,54 @@ mod tests {
         // 16 such slices at its right.
         assert_eq!(parts(0..=16), Some(vec![14 * 13 * 17, 17 * 13 * 17]));
     }
+
+    #[test]
+    fn panels_are_cut_where_they_cover_enough_and_lie_apart() {
+        let of = |covers: &[(usize, f64)]| {
+            let mut cover = vec![0.0; 101];
+            covers.iter().for_each(|(i, c)| cover[*i] = *c);
+            let found: Vec<i32> =
+                cuts(&cover, 2.0).iter().map(|cut| (cut * 100.0).round() as i32).collect();
+            found
+        };
+        // Centimeters. From 0.38 m of either end on; 0.3 of the cross-section.
+        assert_eq!(of(&[(18, 0.9), (20, 0.5), (80, 0.3), (82, 0.9)]), [40, 160]);
+        assert_eq!(of(&[(50, 0.29)]), Vec::<i32>::new());
+        // The fullest of those within 0.38 m, of equal ones the first; then what is left.
+        assert_eq!(of(&[(30, 0.5), (40, 0.8), (58, 0.7), (60, 0.6)]), [80, 120]);
+        assert_eq!(of(&[(50, 0.5), (51, 0.5), (75, 0.4)]), [100, 150]);
+    }
+
+    #[test]
+    fn what_is_too_small_or_too_short_is_no_row_of_boxes() {
+        let (coord, normal) = cupboards();
+        let parts = |scale: [f32; 3], facing: f32| {
+            let coord: Vec<[f32; 3]> =
+                coord.iter().map(|c| [0, 1, 2].map(|k| scale[k] * c[k])).collect();
+            let rows: Vec<u32> = (0..coord.len() as u32).collect();
+            let found = split(&rows, &coord, |row, d| {
+                let n = normal[row as usize];
+                Some(facing * (n[0] * d[0] + n[1] * d[1]))
+            });
+            found.map_or(1, |parts| parts.len())
+        };
+        // 1.82 m long, 0.6 m deep, 0.76 m high.
+        assert_eq!(
+            [parts([1.0, 0.45, 1.0], 1.0), parts([1.0, 0.4, 1.0], 1.0)],
+            [3, 1],
+            "0.27 and 0.24 m deep"
+        );
+        assert_eq!(
+            [parts([1.0, 1.0, 0.42], 1.0), parts([1.0, 1.0, 0.38], 1.0)],
+            [3, 1],
+            "0.32 and 0.29 m high"
+        );
+        assert_eq!(
+            [parts([1.0, 1.0, 1.0], 0.86), parts([1.0, 1.0, 1.0], -0.84)],
+            [3, 1],
+            "off the axis"
+        );
+        assert_eq!([parts([1.0; 3], -1.0), parts([1.0, 2.4, 1.0], 1.0)], [3, 1], "1.44 m deep");
+        assert_eq!(parts([600.0, 1.0, 1.0], 1.0), 1, "farther than anything");
+    }
 }

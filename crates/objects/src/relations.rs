@@ -170,4 +170,74 @@ mod tests {
         let found = related(&room, |o| o.class == "ball", Relation::In, |o| o.class == "box");
         assert_eq!(found, [1]);
     }
+
+    #[test]
+    fn each_relation_holds_up_to_its_limits() {
+        let desk = object("desk", [0.0, 0.0, 0.5], [2.0, 1.0, 1.0]);
+        // x of its middle, lower end, height; what is 0.2 wide is over the desk up to 1, beside it from 1.1 on.
+        let at =
+            |x: f64, low: f64, high: f64| object("a", [x, 0.1, low + high / 2.0], [0.2, 0.2, high]);
+        use Relation::{Above, In, Near, On, Under};
+        let cases: [(Relation, f64, f64, f64, Option<f64>); 28] = [
+            (On, 0.0, 1.1, 0.5, Some(0.1)),
+            (On, 0.0, 1.13, 0.5, None),
+            (On, 0.0, 0.19, 1.0, Some(0.81)),
+            (On, 0.0, 0.17, 1.0, None),
+            (On, 0.0, 0.5, 0.49, None),
+            (On, 0.99, 1.0, 0.5, Some(0.0)),
+            (On, 1.05, 1.0, 0.5, None),
+            (Above, 0.0, 0.89, 0.5, Some(0.0)),
+            (Above, 0.0, 0.87, 0.5, None),
+            (Above, 1.05, 2.5, 0.5, Some(1.5)),
+            (Above, 1.15, 2.5, 0.5, None),
+            (Under, 0.0, 0.1, 0.5, Some(0.4)),
+            (Under, 0.0, 0.13, 0.5, None),
+            (Under, 0.0, 0.0, 0.87, Some(0.13)),
+            (Under, 0.0, 0.0, 0.89, None),
+            (Under, 1.05, -2.0, 0.5, Some(2.5)),
+            (Under, 1.15, -2.0, 0.5, None),
+            (In, 0.0, -0.11, 0.5, Some(0.0)),
+            (In, 0.0, -0.13, 0.5, None),
+            (In, 0.99, 0.6, 0.51, Some(0.0)),
+            (In, 0.0, 0.6, 0.53, None),
+            (In, 1.05, 0.2, 0.2, None),
+            (Near, 0.0, 0.2, 0.2, Some(0.0)),
+            (Near, 1.7, 1.79, 0.2, Some(0.6f64.hypot(0.79))),
+            (Near, 1.7, 1.81, 0.2, None),
+            (Near, -1.7, -0.9, 0.2, Some(0.6f64.hypot(0.7))),
+            (Near, 2.09, 0.2, 0.2, Some(0.99)),
+            (Near, 2.11, 0.2, 0.2, None),
+        ];
+        for (relation, x, low, high, want) in cases {
+            let found = distance(&at(x, low, high), &desk, relation);
+            let is_near = found.zip(want).is_none_or(|(a, b)| (a - b).abs() < 1e-9);
+            assert!(
+                found.is_some() == want.is_some() && is_near,
+                "{relation} {x} {low} {high}: {found:?}"
+            );
+        }
+        let words = Relation::ALL.map(|r| r.to_string());
+        assert_eq!(words, ["on", "above", "under", "in", "near"]);
+        assert_eq!(serde_json::to_value(Relation::ALL).unwrap(), serde_json::json!(words));
+    }
+
+    #[test]
+    fn the_best_comes_first_by_its_nearest() {
+        let mut room = room();
+        let at = |class: &str, x: f64| object(class, [x, 0.0, 0.5], [0.2, 0.2, 1.0]);
+        room.objects = vec![
+            at("a", 0.9),
+            at("b", 0.0),
+            at("a", 0.5),
+            at("a", -0.5),
+            at("b", 1.7),
+            at("a", 9.0),
+        ];
+        // 0.6 from the second b, 0.3 twice, and none.
+        assert_eq!(
+            related(&room, |o| o.class == "a", Relation::Near, |o| o.class == "b"),
+            [2, 3, 0]
+        );
+        assert!(related(&room, |o| o.class == "a", Relation::Near, |_| false).is_empty());
+    }
 }

@@ -65,4 +65,24 @@ mod tests {
         );
         assert!(ObjectSettings { min_count: 0, ..ObjectSettings::default() }.check().is_err());
     }
+
+    #[test]
+    fn defaults_are_the_documented_ones_and_limits_belong_to_their_ranges() {
+        let want = ObjectSettings {
+            min_count: 20,
+            gap: None,
+            min_similarity: 0.3,
+            reshape: true,
+            wall: "wall".to_owned(),
+            floor: "floor".to_owned(),
+        };
+        assert_eq!(ObjectSettings::default(), want);
+        let gap = |gap| ObjectSettings { gap: Some(gap), ..ObjectSettings::default() }.check();
+        assert!(gap(1e-3).is_ok() && gap(10.0).is_ok() && gap(9e-4).is_err());
+        assert_eq!(
+            gap(11.5).unwrap_err().to_string(),
+            "gap: 11.5 is not possible, expected 0.001 to 10 meters"
+        );
+        ObjectSettings { min_count: 1, ..ObjectSettings::default() }.check().unwrap();
+    }
 }

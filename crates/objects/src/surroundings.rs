@@ -106,4 +106,41 @@ mod tests {
         assert_eq!(walls.distance(&coord, &[1, 3]), Some(2.0));
         assert_eq!(Walls::new(&coord, &[]).unwrap().distance(&coord, &[1]), None);
     }
+
+    #[test]
+    fn the_floor_is_the_middle_of_its_gaussians_or_the_lowest_percent() {
+        let coord: Vec<[f32; 3]> = (0..202)
+            .map(|i| [7.0, -3.0, if i == 3 { f32::NAN } else { (i * 37 % 202) as f32 }])
+            .collect();
+        // 201 heights, 0 to 201 without 111: the third from below.
+        let lowest = Floor { height: 2.0, is_labelled: false, is_given: false };
+        assert_eq!(Floor::find(&coord, &[]), lowest);
+        // Heights 0, 37, 74, 148: of four the lower of the middle two.
+        let labelled = Floor { height: 37.0, is_labelled: true, is_given: false };
+        assert_eq!(Floor::find(&coord, &[0, 1, 2, 4]), labelled);
+        assert_eq!(Floor::find(&[], &[]), Floor { height: 0.0, ..lowest });
+        assert_eq!(Floor::given(-1.5), Floor { height: -1.5, is_labelled: false, is_given: true });
+    }
+
+    #[test]
+    fn of_many_rows_some_are_looked_at() {
+        // Of 40,001 rows of a wall every second; the one at 1 m is the second.
+        let mut coord = vec![[0.0f32; 3]; 40_001];
+        coord[1] = [1.0, 0.0, 0.0];
+        coord.push([2.0, 0.0, 0.0]);
+        let rows: Vec<u32> = (0..40_001).collect();
+        let of = |count: usize| Walls::new(&coord, &rows[..count]).unwrap();
+        assert_eq!(
+            (of(40_001).distance(&coord, &[40_001]), of(40_000).distance(&coord, &[40_001])),
+            (Some(2.0), Some(1.0))
+        );
+        // Of 401 rows of an object every second.
+        let near = of(1);
+        let mut object = vec![40_001; 401];
+        object[1] = 1;
+        assert_eq!(
+            (near.distance(&coord, &object), near.distance(&coord, &object[..400])),
+            (Some(2.0), Some(1.0))
+        );
+    }
 }

@@ -193,4 +193,57 @@ mod tests {
         assert_eq!(below("over the floor, m"), "0.25");
         assert_eq!(below("from a wall, m"), "–");
     }
+
+    #[test]
+    fn all_that_is_known_is_written_in_its_place() {
+        let mut c = catalogue("chair");
+        (c.small_instances, c.nameless_instances) = (7, 8);
+        c.floor = Floor { height: -0.25, is_labelled: false, is_given: true };
+        let o = &mut c.objects[0];
+        // Centimeters of another frame: the box itself is in meters.
+        (o.id, o.position, o.wall_distance) = (5, [100.0, 200.0, 50.0], Some(1.5));
+        (o.volume, o.corners) = (1.25, [[0.5, 1.5, 2.5]; 8]);
+        let want = json!({
+            "version": 1,
+            "gaussians": 50,
+            "left_over": 3,
+            "small_instances": 7,
+            "nameless_instances": 8,
+            "floor": { "height": -0.25, "labelled": false, "given": true },
+            "objects": [{
+                "id": 5,
+                "class": "chair",
+                "score": 0.75,
+                "count": 40,
+                "box": {
+                    "center": [100.0, 200.0, 50.0],
+                    "size": [2.0, 1.0, 0.5],
+                    "yaw": 0.1,
+                    "corners": vec![[0.5, 1.5, 2.5]; 8],
+                },
+                "volume": 1.25,
+                "position": [100.0, 200.0, 50.0],
+                "above_floor": 0.25,
+                "wall_distance": 1.5,
+            }],
+        });
+        assert_eq!(json(&c), want);
+        let lines = "id,class,score,count,x,y,z,length,width,height,yaw,volume,above_floor,wall_distance\n\
+                     5,chair,0.7500,40,100.0000,200.0000,50.0000,2.0000,1.0000,0.5000,0.1000,1.2500,0.2500,1.5000\n";
+        assert_eq!(csv(&c), lines);
+        let row = "| 5 | chair | 0.75 | 40 | 100.00, 200.00, 50.00 | 2.00 × 1.00 × 0.50 | 1.250 | 0.25 | 1.50 |";
+        assert_eq!(markdown(&c).lines().nth(2), Some(row));
+        for (text, want) in [
+            ("+1", "'+1"),
+            ("-1", "'-1"),
+            ("@a", "'@a"),
+            ("a=b", "a=b"),
+            ("a\rb", "\"a\rb\""),
+            ("\tx", "'\tx"),
+        ] {
+            assert_eq!(field(text), want);
+        }
+        assert_eq!(cell("a*b_c[d]\\e>\t"), "a\\*b\\_c\\[d\\]\\\\e\\> ");
+        assert_eq!(cell(&"y".repeat(61)).len(), 60);
+    }
 }

@@ -270,4 +270,89 @@ mod tests {
         let above = UprightBox { center: [0.0, 0.0, 3.0], ..unit };
         assert_eq!(unit.height_gap(&above), 2.0);
     }
+
+    /// Sides along (4, 3) / 5 and (−3, 4) / 5.
+    fn leaning() -> UprightBox {
+        UprightBox { center: [1.0, 2.0, 3.0], size: [4.0, 2.0, 6.0], yaw: 3f64.atan2(4.0) }
+    }
+
+    fn near(a: &[f64], b: &[f64]) -> bool {
+        a.len() == b.len() && a.iter().zip(b).all(|(a, b)| (a - b).abs() < 1e-9)
+    }
+
+    #[test]
+    fn places_of_a_leaning_box_by_hand() {
+        let b = leaning();
+        let plan = [[0.0, 0.0], [3.2, 2.4], [2.0, 4.0], [-1.2, 1.6]];
+        assert!(near(b.plan().as_flattened(), plan.as_flattened()), "{:?}", b.plan());
+        for (i, corner) in b.corners().iter().enumerate() {
+            assert!(near(corner, &[plan[i % 4][0], plan[i % 4][1], [0.0, 6.0][i / 4]]), "{i}");
+        }
+        assert_eq!((b.heights(), b.volume()), ([0.0, 6.0], 48.0));
+        // 5 along both sides from the middle: 3 past one end, 4 past the other.
+        assert!(near(&b.in_plan(DVec2::new(2.0, 9.0)), &[5.0, 5.0]));
+        // 3 against the second side.
+        assert!(near(&b.in_plan(DVec2::new(2.8, -0.4)), &[0.0, -3.0]));
+        assert!((b.plan_distance([2.0, 9.0]) - 5.0).abs() < 1e-9);
+        assert!((b.plan_distance([2.8, -0.4]) - 2.0).abs() < 1e-9);
+        assert_eq!(b.plan_distance([1.5, 2.3]), 0.0);
+        let above = UprightBox { center: [9.0, 9.0, 8.5], size: [1.0, 1.0, 2.0], ..b };
+        assert_eq!((b.height_gap(&above), above.height_gap(&b), b.height_gap(&b)), (1.5, 1.5, 0.0));
+        // Its corner, 3.2 to the right, is nearest to a wall at 5; nothing of it is at the cross through it.
+        let wall = UprightBox {
+            center: [5.5, 2.4, 3.0],
+            size: [8.0, 1.0, 6.0],
+            yaw: std::f64::consts::FRAC_PI_2,
+        };
+        assert!((b.plan_gap(&wall) - 1.8).abs() < 1e-9 && (wall.plan_gap(&b) - 1.8).abs() < 1e-9);
+        let bar = UprightBox {
+            center: [1.0, 2.0, 0.0],
+            size: [9.0, 0.1, 1.0],
+            yaw: b.yaw + std::f64::consts::FRAC_PI_2,
+        };
+        assert_eq!((b.plan_gap(&bar), bar.plan_gap(&b)), (0.0, 0.0));
+    }
+
+    #[test]
+    fn four_corners_give_their_rectangle_whatever_its_side_is_called() {
+        // Longer along its second axis: the first side is a quarter turn back.
+        let quarter = std::f64::consts::FRAC_PI_2;
+        let cases = [
+            (3.0, 0.4, 0.4),
+            (3.0, -0.4, -0.4),
+            (0.5, 0.4, 0.4 - quarter),
+            (0.5, 1.2, 1.2 - quarter),
+        ];
+        for (long, yaw, want) in cases {
+            let given = UprightBox { center: [5.0, -7.0, 1.0], size: [long, 1.0, 2.0], yaw };
+            let coord: Vec<[f32; 3]> =
+                given.corners().iter().map(|c| c.map(|v| v as f32)).collect();
+            let mut all = vec![[90.0; 3]];
+            all.extend(coord);
+            let found = UprightBox::around(&all, &[1, 2, 3, 4, 5, 6, 7, 8]).unwrap();
+            let size = [long.max(1.0), long.min(1.0), 2.0];
+            for (got, want) in
+                found.center.iter().chain(&found.size).zip([5.0, -7.0, 1.0].iter().chain(&size))
+            {
+                assert!((got - want).abs() < 1e-5, "{found:?}");
+            }
+            assert!((found.yaw - want).abs() < 1e-5, "{long} {yaw}: {found:?}");
+        }
+        let points =
+            [[0.0, 0.0], [2.0, 1.0], [1.0, 0.0], [0.0, 1.0], [2.0, 0.0], [1.0, 0.5], [0.0, 0.0]];
+        let found = hull(points.map(DVec2::from).to_vec());
+        assert_eq!(found, [[0.0, 0.0], [2.0, 0.0], [2.0, 1.0], [0.0, 1.0]].map(DVec2::from));
+        // Of a triangle with sides 4, 3 and 5 each side has a rectangle of twice its area: the first.
+        assert_eq!(least_yaw(&[DVec2::ONE]), 0.0);
+        // A wide hexagon: along its long sides.
+        let wide = [[0.0, 0.0], [4.0, 0.0], [5.0, 1.0], [4.0, 2.0], [0.0, 2.0], [-1.0, 1.0]];
+        let turned = wide.map(|p| DVec2::from_angle(0.3).rotate(DVec2::from(p)));
+        assert!((least_yaw(&turned) - 0.3).abs() < 1e-9);
+        // Of 400 values two at each end are strays, of 199 none.
+        let values = |n: i32| (0..n).rev().map(f64::from).collect::<Vec<_>>();
+        assert_eq!(
+            (span(&values(400)), span(&values(199)), span(&values(200))),
+            ([2.0, 397.0], [0.0, 198.0], [1.0, 198.0])
+        );
+    }
 }

@@ -179,4 +179,82 @@ mod tests {
         };
         assert_eq!((with(0), with(6)), (Some(4), Some(4)));
     }
+
+    #[test]
+    fn a_line_is_as_far_as_its_nearest_end() {
+        // Along x at y = 2; its direction is counted against x.
+        let line = Line { normal: DVec2::Y, offset: 2.0, span: [-1.0, 4.0] };
+        let cases = [
+            ([0.0, 2.5], 0.5),
+            ([0.0, 1.0], 1.0),
+            ([4.0, 6.0], 5.0),
+            ([-7.0, 6.0], 5.0),
+            ([1.0, 2.0], 0.0),
+        ];
+        for (p, want) in cases {
+            assert!((line.distance(DVec2::from(p)) - want).abs() < 1e-12, "{p:?}");
+        }
+    }
+
+    #[test]
+    fn two_walls_at_a_corner_are_two_and_each_row_goes_to_its_own() {
+        let corner = |long: f32, deep: f32| {
+            let mut coord: Vec<[f32; 3]> =
+                (0..120).map(|i| [long * (i as f32 + 0.5) / 120.0, 0.05, 0.5]).collect();
+            coord.extend((0..100).map(|i| [0.05, 0.2 + deep * (i as f32 + 0.5) / 100.0, 1.0]));
+            coord
+        };
+        let parts = |coord: &[[f32; 3]], stands| {
+            let rows: Vec<u32> = (0..coord.len() as u32).collect();
+            split(&rows, coord, stands)
+        };
+        let found = parts(&corner(3.0, 2.0), true).unwrap();
+        assert_eq!(found.len(), 2);
+        // But for what is at the corner.
+        assert!(
+            found[0].iter().filter(|r| **r < 120).count() > 112
+                && found[1].iter().all(|r| *r >= 120 || *r < 8)
+        );
+        // Of a rectangle around it less than 1.2 m deep.
+        assert_eq!(parts(&corner(3.0, 0.7), true), None);
+        // Ten rows of 3 m every 0.22 m cover 3 of 5.8 square meters: too much but for what stands.
+        let comb: Vec<[f32; 3]> = (0..600)
+            .map(|i| [0.05 * (i % 60) as f32 + 0.02, 0.22 * (i / 60) as f32 + 0.05, 0.0])
+            .collect();
+        assert!(parts(&comb, true).is_some_and(|parts| parts.len() > 4));
+        assert_eq!(parts(&comb, false), None);
+    }
+
+    #[test]
+    fn the_strongest_line_is_that_of_most_points() {
+        // Nine along y at x = 1 (one of them 0.1 beside), seven along x.
+        let mut points: Vec<DVec2> = (0..9)
+            .map(|i| DVec2::new(if i == 4 { 1.1 } else { 1.0 }, 0.2 * f64::from(i)))
+            .collect();
+        points.extend((0..7).map(|i| DVec2::new(2.0 + 0.3 * f64::from(i), 3.0)));
+        let (line, inside) = strongest(&points).unwrap();
+        assert_eq!(inside.iter().filter(|i| **i).count(), 9);
+        assert!(inside[..9].iter().all(|i| *i) && (line.normal.x - 1.0).abs() < 1e-3);
+        assert!(
+            (line.offset - 1.05).abs() < 0.06 && (line.span[1] - line.span[0] - 1.6).abs() < 0.05,
+            "{:?}",
+            line.span
+        );
+        assert!(strongest(&[]).is_none());
+        // Four lines of ten explain all; a single one is no corner; dust is none.
+        let wall = |k: usize| {
+            (0..10).map(move |i| {
+                [
+                    DVec2::new(0.1 * i as f64, k as f64),
+                    DVec2::new(k as f64 + 3.0, 5.0 + 0.1 * i as f64),
+                ][k % 2]
+            })
+        };
+        let four: Vec<DVec2> = (0..4).flat_map(wall).collect();
+        assert_eq!(lines(&four).map(|l| l.len()), Some(4));
+        assert!(lines(&four[..10]).is_none());
+        let dust: Vec<DVec2> =
+            (0..101).map(|i: i32| DVec2::new(f64::from(i), f64::from(i * i % 101))).collect();
+        assert!(lines(&dust).is_none());
+    }
 }

@@ -342,3 +342,6 @@ impl Activated {
         });
     }
 }
+
+#[cfg(test)]
+mod tests;

@@ -67,4 +67,23 @@ mod tests {
         let error = Background::Fixed([0.0, 1.5, 0.0]).check().unwrap_err().to_string();
         assert!(error.contains("background is 1.5"), "{error}");
     }
+
+    #[test]
+    fn a_random_color_is_that_of_seed_and_step() {
+        let [r, g, b, _] = Counter::new(4, Purpose::Background, 12).units(0);
+        for found in [Background::Random.at(4, 12, true), Background::Auto.at(4, 12, true)] {
+            assert_eq!(found, [r as f32, g as f32, b as f32]);
+        }
+        let fixed = Background::Fixed([0.1, 0.2, 0.3]);
+        for transparent in [false, true] {
+            assert_eq!(fixed.at(1, 2, transparent), [0.1, 0.2, 0.3]);
+        }
+        assert_eq!((fixed.shown(), Background::Random.shown()), ([0.1, 0.2, 0.3], [0.0; 3]));
+        Background::Random.check().unwrap();
+        for bad in [[-0.1, 0.0, 0.0], [0.0, f32::NAN, 0.0], [0.0, 0.0, 1.1]] {
+            assert!(Background::Fixed(bad).check().is_err(), "{bad:?}");
+        }
+        let text = serde_json::to_string(&[Background::Auto, Background::Random, fixed]).unwrap();
+        assert_eq!(text, "[\"auto\",\"random\",{\"fixed\":[0.1,0.2,0.3]}]");
+    }
 }

@@ -164,3 +164,168 @@ fn mask_of(path: &Path, size: [u32; 2]) -> Result<Vec<u8>, OptimiseError> {
         bad(path, problem, help)
     })
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use scenesplat_scene::picture::Picture;
+    use scenesplat_scene::{CameraKind, Distortion};
+
+    fn camera(name: &str, x: f64) -> Camera {
+        Camera {
+            name: name.to_owned(),
+            width: 4,
+            height: 3,
+            fx: 5.0,
+            fy: 6.0,
+            cx: 1.5,
+            cy: 2.0,
+            distortion: Distortion::None,
+            rotation: [[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]],
+            translation: [x, 2.0, 3.0],
+        }
+    }
+
+    fn set() -> CameraSet {
+        let cameras = [("left/a.png", 1.0), ("none.png", 2.0), ("b.png", 3.0), ("c.png", 4.0)];
+        CameraSet {
+            cameras: cameras.map(|(name, x)| camera(name, x)).to_vec(),
+            points: None,
+            kind: CameraKind::ColmapText,
+            notes: vec!["noted".to_owned()],
+        }
+    }
+
+    fn put(folder: &Path, name: &str, size: [u32; 2], channels: Channels, samples: Samples) {
+        std::fs::create_dir_all(folder).unwrap();
+        let picture = Picture::new(size[0], size[1], channels, samples).unwrap();
+        std::fs::write(folder.join(name), picture.encode_png().unwrap()).unwrap();
+    }
+
+    /// Pictures of three cameras, the second transparent and twice as large, the third transparent everywhere;
+    /// depths of two, a mask of one.
+    fn written(root: &Path) -> [PathBuf; 3] {
+        let [images, depth, masks] = ["images", "depth", "masks"].map(|name| root.join(name));
+        let bytes = |n: u8| Samples::Eight((0..n).collect());
+        put(&images, "a.png", [4, 3], Channels::Rgb, bytes(36));
+        let rgba = (0..48).flat_map(|i: u8| [200, 100, i, if i < 24 { 255 } else { 51 }]).collect();
+        put(&images, "b.png", [8, 6], Channels::Rgba, Samples::Eight(rgba));
+        put(&images, "c.png", [4, 3], Channels::Rgba, Samples::Eight([9, 9, 9, 0].repeat(12)));
+        put(
+            &depth,
+            "a.png",
+            [4, 3],
+            Channels::Gray,
+            Samples::Sixteen((0..12).map(|v| 500 * v).collect()),
+        );
+        let values: Vec<f32> = (0..12).map(|v| v as f32).collect();
+        scenesplat_scene::formats::npy_writer::write_npy(&depth.join("b.npy"), &[3, 4], &values)
+            .unwrap();
+        // Not black is on, in whatever channel.
+        let mask =
+            (0..12).flat_map(|i: u8| [[0, 0, 0], [0, 0, 1], [255, 0, 0]][usize::from(i % 3)]);
+        put(&masks, "b.png", [4, 3], Channels::Rgb, Samples::Eight(mask.collect()));
+        [images, depth, masks]
+    }
+
+    #[test]
+    fn files_of_a_camera_become_its_frame() {
+        let root = tempfile::tempdir().unwrap();
+        let [images, depth, masks] = written(root.path());
+        let folder = CaptureFolder {
+            images: &images,
+            depth: Some(&depth),
+            masks: Some(&masks),
+            depth_scale: 250.0,
+        };
+        let capture = folder.read(&set()).unwrap();
+        assert_eq!(capture.cameras, [0, 2, 3]);
+        let names: Vec<&str> = capture.frames.iter().map(|f| f.name.as_str()).collect();
+        assert_eq!(names, ["a", "b", "c"]);
+        let found: Vec<_> =
+            capture.found.iter().map(|(what, f)| (*what, f.files.len(), f.num_found())).collect();
+        assert_eq!(found, [("picture", 4, 3), ("depth", 3, 2), ("mask", 3, 1)]);
+        assert_eq!(capture.notes, ["noted", "1 of 3 pictures are transparent everywhere"]);
+        let [a, b, c] = &capture.frames[..] else { panic!("{}", capture.frames.len()) };
+        capture.frames.iter().for_each(|f| f.check().unwrap());
+        assert_eq!((&a.rgb, &a.alpha, &a.mask), (&Colors::Bytes((0..36).collect()), &None, &None));
+        let want: Vec<f32> = (0..12).map(|v| 2.0 * v as f32).collect();
+        assert_eq!(a.depth.as_ref().unwrap(), &want);
+        let rows = [[0.0, -1.0, 0.0, 1.0], [1.0, 0.0, 0.0, 2.0], [0.0, 0.0, 1.0, 3.0]];
+        assert_eq!(a.view.world_to_camera, rows);
+        let lens = |v: &View| ([v.fx, v.fy, v.cx, v.cy], [v.width, v.height]);
+        assert_eq!(lens(&a.view), ([5.0, 6.0, 1.5, 2.0], [4, 3]));
+        // A picture of twice the size has the camera, depth and mask of that.
+        assert_eq!(lens(&b.view), ([10.0, 12.0, 3.0, 4.0], [8, 6]));
+        assert_eq!(b.view.world_to_camera[0][3], 3.0);
+        assert_eq!(b.alpha.as_ref().unwrap()[23..25], [255, 51]);
+        // On black: a fifth of 200 and 100.
+        assert_eq!(
+            (b.rgb.at(0), b.rgb.at(3 * 24), b.rgb.at(3 * 24 + 1)),
+            (200.0 / 255.0, 40.0 / 255.0, 20.0 / 255.0)
+        );
+        let depths = b.depth.as_ref().unwrap();
+        assert_eq!((depths[0], depths[7], depths[8 * 5 + 2]), (0.0, 3.0, 9.0));
+        let of_b: Vec<u8> = (0..8).map(|x| b.mask.as_ref().unwrap()[8 * 2 + x]).collect();
+        // Of the second row: pixels 4 to 7, of which 6 is black.
+        assert_eq!(of_b, [1, 1, 1, 1, 0, 0, 1, 1]);
+        assert!(
+            c.depth.is_none()
+                && c.mask.is_none()
+                && c.alpha.as_ref().unwrap().iter().all(|a| *a == 0)
+        );
+        let plain = CaptureFolder { depth: None, masks: None, ..folder }.read(&set()).unwrap();
+        assert_eq!((plain.found.len(), plain.frames.len()), (1, 3));
+        assert!(plain.frames.iter().all(|f| f.depth.is_none() && f.mask.is_none()));
+    }
+
+    #[test]
+    fn what_is_not_a_capture_is_refused_by_name() {
+        let root = tempfile::tempdir().unwrap();
+        let [images, depth, masks] = written(root.path());
+        let folder =
+            CaptureFolder { images: &images, depth: None, masks: None, depth_scale: 1000.0 };
+        let refused =
+            |folder: CaptureFolder<'_>, set: &CameraSet| folder.read(set).unwrap_err().to_string();
+        let mut others = set();
+        others.cameras.iter_mut().for_each(|c| c.name = format!("z{}", c.name.replace('/', "")));
+        let error = refused(folder, &others);
+        assert!(
+            error.contains(
+                "has no picture of any of the 4 cameras, the first of which is \"zlefta.png\""
+            ),
+            "{error}"
+        );
+        let empty = root.path().join("empty");
+        std::fs::create_dir(&empty).unwrap();
+        let error = refused(CaptureFolder { masks: Some(&empty), ..folder }, &set());
+        assert!(
+            error.contains(
+                "has no mask of any of the 3 cameras, the first of which is \"left/a.png\""
+            ),
+            "{error}"
+        );
+        put(&masks, "b.png", [3, 4], Channels::Gray, Samples::Eight(vec![1; 12]));
+        let error = refused(CaptureFolder { masks: Some(&masks), ..folder }, &set());
+        assert!(
+            error.contains("is 3 × 4, its picture 8 × 6") && error.contains("masks may be"),
+            "{error}"
+        );
+        let mut long = set();
+        long.cameras[0].width = 8;
+        let error = refused(folder, &long);
+        assert!(
+            error.contains("a.png") && error.contains("is 4 × 3, its camera 8 × 3: another shape"),
+            "{error}"
+        );
+        let error = refused(CaptureFolder { images: &depth, ..folder }, &set());
+        assert!(
+            error.contains("is a gray picture of 16 bits, which is how depth is stored"),
+            "{error}"
+        );
+        // Gray of eight bits is a picture.
+        put(&images, "a.png", [4, 3], Channels::Gray, Samples::Eight((0..12).collect()));
+        let gray = folder.read(&set()).unwrap().frames.remove(0);
+        assert_eq!((gray.rgb.at(3), gray.rgb.at(5)), (1.0 / 255.0, 1.0 / 255.0));
+    }
+}

@@ -158,4 +158,53 @@ mod tests {
         let pictures = memory_of(&settings, 0, std::slice::from_ref(&frame));
         assert!(pictures >= 64 * 48 * (3 + 4), "{pictures}");
     }
+
+    #[test]
+    fn what_fits_is_tried_from_full_size_and_many_gaussians_down() {
+        // 0.2 s of pixels, 0.2 s of 100,000 Gaussians; a mean is a quarter of these and three of the cap.
+        let cost = StepCost { gaussians: 100_000, full: 0.4, half: 0.25 };
+        let preset = OptimiseSettings::scenesplat();
+        let fit = |seconds: f64| {
+            let (s, text) = cost.fit(preset, seconds);
+            ((s.steps, cap_of(&s).unwrap(), s.half_steps), text)
+        };
+        // 500,000: 0.2 + 0.8 s, 3060 steps. 200,000: 0.2 + 0.35 s, 0.85 · 3600 / 0.55 = 5563.6.
+        let (chosen, text) = fit(3600.0);
+        assert_eq!(chosen, (5563, 200_000, 0));
+        let want = "5563 steps of at most 200000 Gaussians at full size: 0.550 s a step expected \
+                    (measured with 100000 Gaussians: 0.400 s, 0.250 s at half size)";
+        assert_eq!(text, want);
+        // At full size 0.4 s are 3187 steps; at half 100,000 Gaussians take 0.25 s.
+        let (chosen, text) = fit(1500.0);
+        assert_eq!(chosen, (5100, 100_000, 5100));
+        assert!(
+            text.starts_with("5100 steps of at most 100000 Gaussians at half size: 0.250 s"),
+            "{text}"
+        );
+        // 50,000 at least, but not fewer than there are: then fewer steps, one at least.
+        assert_eq!((fit(60.0).0, fit(0.0).0), ((204, 100_000, 204), (1, 100_000, 1)));
+        // A run that is short anyway is not made smaller for 5000 steps; its schedule is scaled.
+        let short = preset.with_steps(3000);
+        let (s, _) = cost.fit(short, 3600.0);
+        assert_eq!((s.steps, cap_of(&s)), (3000, Some(500_000)));
+        let (s, _) = cost.fit(OptimiseSettings { strategy: Strategy::Fixed, ..preset }, 3600.0);
+        assert_eq!((s.steps, cap_of(&s), s.half_steps), (7650, None, 0));
+        let mut doubling = OptimiseSettings::gsplat_default();
+        set_cap(&mut doubling, 77);
+        assert_eq!(cap_of(&doubling), Some(77));
+        // A picture that is slower at half its size: all of it grows with Gaussians.
+        let odd = StepCost { half: 0.5, ..cost };
+        assert!((odd.of(true, 50_000) - 0.2).abs() < 1e-12);
+        assert!((cost.of(true, 300_000) - (0.05 + 0.6)).abs() < 1e-12);
+    }
+
+    #[test]
+    fn memory_is_of_frames_the_largest_picture_and_gaussians() {
+        let mut settings = OptimiseSettings::scenesplat();
+        settings.initial.sh_degree = 1;
+        let frames = [(8, 4), (20, 10)]
+            .map(|(w, h)| crate::frame::tests::frame(crate::frame::tests::view(w, h), None));
+        // 11 + 12 values; 4 · (4 · 23 + 4) + 88 + 600 bytes each, twice. Frames of 96 and 600 bytes.
+        assert_eq!(memory_of(&settings, 10, &frames), 96 + 600 + 120 * 200 + 2 * 1072 * 10);
+    }
 }

@@ -152,4 +152,44 @@ mod tests {
         assert_eq!(loss, DepthLoss { mean: 1.5, count: 2 });
         assert_eq!(gradient, [-0.5, -0.5, 0.0, 0.0, 0.0, 0.0]);
     }
+
+    #[test]
+    fn limits_are_not_reached_by_what_counts() {
+        // 10 is ten times the median 1.
+        let (loss, _) = run(&[1.0, 1.0, 1.0], &[2.0, 2.0, 11.0], None);
+        assert_eq!(loss, DepthLoss { mean: 1.0, count: 2 });
+        // The median is 0: errors below 2 count. Where both are equal the slope is 0.
+        let (loss, gradient) = run(&[1.0, 1.0, 1.0, 4.0, 3.9375], &[1.0, 1.0, 2.0, 2.0, 2.0], None);
+        assert_eq!(loss, DepthLoss { mean: 2.9375 / 4.0, count: 4 });
+        assert_eq!(gradient, [0.0, 0.0, -0.25, 0.0, 0.25]);
+        let (loss, _) = run(&[0.5, 0.5], &[0.01, 0.0101], None);
+        assert_eq!(loss.count, 1);
+    }
+
+    #[test]
+    fn without_the_rule_outliers_count_and_the_weight_is_in_the_slope_alone() {
+        let (pred, truth) = ([1.0, 5.0, 1.0, 1.0], [2.0, 1.0, 101.0, 3.0]);
+        let (mut gradient, mut scratch) = (vec![7.0; 4], DepthScratch::default());
+        let keep = DepthOutliers::Keep;
+        let mask: &[u8] = &[1, 1, 3, 0];
+        let loss =
+            depth_loss(&pred, &truth, Some(mask), keep, 6.0, &mut scratch, &mut gradient).unwrap();
+        assert_eq!(loss, DepthLoss { mean: 35.0, count: 3 });
+        assert_eq!(gradient, [-2.0, 2.0, -2.0, 0.0]);
+        assert_eq!(DepthOutliers::default(), DepthOutliers::MedianRule);
+        let failed = |truth: &[f32], mask: &[u8], slope: &mut [f32]| {
+            let scratch = &mut DepthScratch::default();
+            depth_loss(&pred, truth, Some(mask), keep, 1.0, scratch, slope).unwrap_err().to_string()
+        };
+        let mut four = [0.0; 4];
+        assert_eq!(
+            failed(&truth[1..], mask, &mut four),
+            "measured depth: expected 4 values, got 3"
+        );
+        assert_eq!(failed(&truth, &mask[1..], &mut four), "mask: expected 4 values, got 3");
+        assert_eq!(
+            failed(&truth, mask, &mut four[1..]),
+            "gradient of the depth: expected 4 values, got 3"
+        );
+    }
 }

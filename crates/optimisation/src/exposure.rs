@@ -102,4 +102,31 @@ mod tests {
             assert!((moment - 0.1 * want).abs() < 1e-6, "{:?}", exposure.moments[1].first);
         }
     }
+
+    #[test]
+    fn each_frame_has_its_own_gains_and_offsets() {
+        let mut exposure = Exposure::new(3);
+        assert_eq!(exposure.of(2), [1.0, 1.0, 1.0, 0.0, 0.0, 0.0]);
+        exposure.values[6..12].copy_from_slice(&[2.0, 0.5, 4.0, 0.25, -0.5, 1.0]);
+        let mut out = vec![7.0; 9];
+        exposure.apply(1, &[0.5, 1.0, 0.25, 0.0, 2.0, 1.0], &mut out);
+        assert_eq!(out, [1.25, 0.0, 2.0, 0.25, 0.5, 5.0]);
+        // Without a slope it is pulled back alone: by 0.01 of what it is off, of which a moment takes a tenth.
+        exposure.learn(1, &[0.5; 3], &mut [0.0; 3], 0.125);
+        for (moment, off) in exposure.moments[1].first.iter().zip([1.0, -0.5, 3.0, 0.25, -0.5, 1.0])
+        {
+            assert!((moment - 0.001 * off).abs() < 1e-8, "{:?}", exposure.moments[1].first);
+        }
+        // The first step of Adam has the length of the rate.
+        for (got, want) in
+            exposure.of(1).into_iter().zip([1.875, 0.625, 3.875, 0.125, -0.375, 0.875])
+        {
+            assert!((got - want).abs() < 1e-5, "{:?}", exposure.of(1));
+        }
+        assert_eq!(
+            (exposure.steps.clone(), exposure.of(0)),
+            (vec![0, 1, 0], Exposure::new(1).of(0))
+        );
+        assert_eq!(exposure.moments[2], Moments::zeros(6));
+    }
 }

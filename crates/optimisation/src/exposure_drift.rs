@@ -269,4 +269,130 @@ mod tests {
         let want = deviation(&tints.iter().map(|t| t.ln()).collect::<Vec<_>>());
         assert!((drift.balance / want - 1.0).abs() < 0.3, "{} {want}", drift.balance);
     }
+
+    #[test]
+    fn a_color_is_the_mean_light_of_nine_pixels() {
+        // A picture of 9 × 7 pixels, each of its own color; the point is at pixel (5, 2).
+        let mut frame = crate::frame::tests::frame(view(9, 7), Some(2.0));
+        (frame.view.fx, frame.view.fy) = (9.0, 8.0);
+        let rgb = |k: usize| 0.2 + 0.003 * k as f32;
+        frame.rgb = Colors::Floats((0..189).map(rgb).collect());
+        let point = [(5.25 - 4.5) / 9.0 * 2.0, (2.75 - 3.5) / 8.0 * 2.0, 0.0];
+        let found = color_of(&frame, point).unwrap();
+        for c in 0..3 {
+            let light = |at: usize| ((f64::from(rgb(3 * at + c)) + 0.055) / 1.055).powf(2.4);
+            let nine = [13, 14, 15, 22, 23, 24, 31, 32, 33].map(light);
+            assert!((found[c] - (nine.iter().sum::<f64>() / 9.0).ln()).abs() < 1e-6, "{found:?}");
+        }
+        let with = |change: &dyn Fn(&mut TrainingFrame)| {
+            let mut frame = frame.clone();
+            change(&mut frame);
+            color_of(&frame, point).is_some()
+        };
+        let float = |f: &mut TrainingFrame, k: usize, to: f32| match &mut f.rgb {
+            Colors::Floats(values) => values[k] = to,
+            Colors::Bytes(_) => panic!("bytes"),
+        };
+        // One of the nine masked, half transparent or clipped hides it; the next ones do not.
+        for (pixel, is_seen) in [(13, false), (33, false), (12, true), (34, true), (40, true)] {
+            assert_eq!(
+                with(&|f| f.mask = Some((0..63).map(|i| u8::from(i != pixel)).collect())),
+                is_seen
+            );
+            assert_eq!(with(&|f| float(f, 3 * pixel + 1, 250.0 / 255.0)), is_seen, "{pixel}");
+            assert!(with(&|f| float(f, 3 * pixel + 1, 249.9 / 255.0)), "{pixel}");
+        }
+        // The depth of its own pixel alone, to within 3 %.
+        for (depth, is_seen) in
+            [(2.05, true), (1.95, true), (2.07, false), (1.93, false), (f32::NAN, false)]
+        {
+            assert_eq!(with(&|f| f.depth.as_mut().unwrap()[23] = depth), is_seen, "{depth}");
+        }
+        assert!(with(
+            &|f| f.depth = Some((0..63).map(|i| if i == 23 { 2.0 } else { 9.0 }).collect())
+        ));
+        // Light below 0.004 or from 0.9 on says nothing: 0.05 is 0.0039, 0.96 is 0.908.
+        for (value, is_seen) in [(0.05, false), (0.06, true), (0.95, true), (0.96, false)] {
+            assert_eq!(with(&|f| f.rgb = Colors::Floats(vec![value; 189])), is_seen, "{value}");
+        }
+        // The outermost pixels have no nine around them.
+        let at =
+            |u: f32, v: f32| color_of(&frame, [(u - 4.5) / 4.5, (v - 3.5) / 4.0, 0.0]).is_some();
+        let seen = [
+            at(1.01, 3.0),
+            at(0.99, 3.0),
+            at(7.99, 3.0),
+            at(8.01, 3.0),
+            at(4.0, 0.99),
+            at(4.0, 6.01),
+        ];
+        assert_eq!(seen, [true, false, true, false, false, false]);
+        assert!(at(4.0, 1.01) && at(4.0, 5.99));
+        assert_eq!(color_of(&frame, [0.0, 0.0, -2.0]), None);
+        assert_eq!(color_of(&frame, [0.0, 0.0, -4.0]), None);
+    }
+
+    #[test]
+    fn gains_and_spreads_by_hand() {
+        // Three pictures of three points; the second is 0.5 brighter, the third 0.25 darker, one value is off.
+        let seen: Vec<Vec<Option<[f64; 3]>>> = [0.0, 0.5, -0.25]
+            .iter()
+            .map(|gain| (0..3).map(|p| Some([9.0, f64::from(p) + gain, 9.0])).collect())
+            .collect();
+        let all = gains_of_channel(&seen, &[true; 3], &[true; 3], 1);
+        for (got, want) in all.iter().zip([0.0, 0.5, -0.25]) {
+            assert!((got - want).abs() < 1e-9, "{all:?}");
+        }
+        // What is not judged has no gain and no say: the upper median of the others is 0.
+        let some = gains_of_channel(&seen, &[true, true, false], &[false, true, true], 1);
+        assert_eq!((some[0], some[1]), (0.0, 0.0));
+        assert!((some[2] + 0.75).abs() < 1e-9, "{some:?}");
+        assert_eq!(median(vec![3.0, 1.0, 2.0, 4.0]), Some(3.0));
+        assert_eq!((median(Vec::new()), deviation(&[])), (None, 0.0));
+        // About the median 2: distances 1, 0, 3.
+        assert!((deviation(&[1.0, 2.0, 5.0]) - 1.4826).abs() < 1e-12);
+        let drift = |exposure, balance| ExposureDrift { log_gains: Vec::new(), exposure, balance };
+        assert!((drift(0.05, 0.001).severity() - 0.5).abs() < 1e-12);
+        assert!((drift(0.05, 0.03).severity() - 1.5).abs() < 1e-12);
+        assert_eq!(
+            (drift(0.0751, 0.0).is_present(), drift(0.0749, 0.0149).is_present()),
+            (true, false)
+        );
+        assert_eq!((ExposureDrift::THRESHOLD, drift(0.0, 0.0151).is_present()), (0.75, true));
+    }
+
+    #[test]
+    fn exposure_is_of_the_mean_and_balance_of_half_of_red_less_blue() {
+        // Gains whose medians are those of picture 3; channels by ratios that do not cancel.
+        let logs: Vec<[f64; 3]> = [-3.0, -2.0, -1.0, 0.0, 1.0, 2.0, 3.0]
+            .iter()
+            .map(|k| [0.06 * k, 0.03 * k, -0.01 * k])
+            .collect();
+        let made: Vec<[f64; 3]> = logs.iter().map(|l| l.map(f64::exp)).collect();
+        let mut frames = frames(&made);
+        let drift = exposure_drift(&frames, &wall()).unwrap();
+        // Means (0.08 / 3) k: the median distance is that of k = 2. Red less blue: 0.07 k, half of it.
+        assert!((drift.exposure - 1.4826 * 0.16 / 3.0).abs() < 0.005, "{drift:?}");
+        assert!((drift.balance - 1.4826 * 0.07).abs() < 0.005, "{drift:?}");
+        for (got, want) in drift.log_gains.iter().zip(&logs) {
+            for c in 0..3 {
+                assert!((got.unwrap()[c] - want[c]).abs() < 0.02, "{got:?} {want:?}");
+            }
+        }
+        // Points are at rows 11, 12, 12, … of the picture, thirty each; of the nine pixels none may be masked.
+        for (rows, is_judged) in [(13, false), (14, true)] {
+            frames[6].mask = Some((0..64 * 48).map(|i| u8::from(i / 64 < rows)).collect());
+            let drift = exposure_drift(&frames, &wall()).unwrap();
+            assert_eq!(drift.log_gains[6].is_some(), is_judged, "{rows}");
+        }
+        frames[6].mask = None;
+        assert!(exposure_drift(&frames, &wall()[..50]).is_some());
+        assert!(exposure_drift(&frames, &wall()[..49]).is_none());
+        // Six pictures are enough.
+        assert!(exposure_drift(&frames[..6], &wall()).is_some());
+        // Of 8,000 points every second is looked up: the others may be anywhere.
+        let doubled: Vec<[f32; 3]> =
+            wall().iter().cycle().take(4000).flat_map(|p| [*p, [1e9; 3]]).collect();
+        assert!(exposure_drift(&frames, &doubled).unwrap().log_gains[0].is_some());
+    }
 }

@@ -101,4 +101,53 @@ mod tests {
         assert!(fused_points(&[frame], 4).0.len() <= 4);
         assert!(fused_points(&[], 4).0.is_empty());
     }
+
+    #[test]
+    fn a_lifted_pixel_is_seen_again_where_it_was() {
+        let mut frame = crate::frame::tests::frame(view(6, 4), None);
+        let (s, c) = 0.6f32.sin_cos();
+        frame.view.world_to_camera = [[c, 0.0, s, 0.3], [0.0, 1.0, 0.0, -0.7], [-s, 0.0, c, 1.1]];
+        (frame.view.fx, frame.view.fy, frame.view.cx, frame.view.cy) = (5.0, 7.0, 2.5, 2.25);
+        // Pixel 15 is the fourth of the third row.
+        let want = [(3.5 - 2.5) / 5.0 * 2.5, (2.5 - 2.25) / 7.0 * 2.5, 2.5];
+        let found = frame.view.to_camera(lifted(&frame, 15, 2.5));
+        for k in 0..3 {
+            assert!((found[k] - want[k]).abs() < 1e-5, "{found:?} {want:?}");
+        }
+    }
+
+    #[test]
+    fn pixels_at_equal_distances_over_all_frames_are_tried() {
+        let frame = |z: f32, first: u8| {
+            let mut frame = crate::frame::tests::frame(view(40, 30), Some(z));
+            frame.rgb =
+                Colors::Bytes((0..3 * 1200).map(|k| (first as usize + k / 3 % 50) as u8).collect());
+            frame
+        };
+        // 2400 measured pixels for 6 · 10 candidates: every 41st. All of the first frame are in one cell.
+        let (points, colors) = fused_points(&[frame(1.0, 0), frame(100.0, 100)], 10);
+        assert!((2..=10).contains(&points.len()) && colors.len() == points.len());
+        assert_eq!(colors[0], [40.0 / 255.0; 3]);
+        // The 30th, 1230th of both, is the 30th pixel of the second.
+        assert_eq!(colors[1], [129.0 / 255.0; 3]);
+        // What does not show is not counted: with the first two pixels hidden it is two further.
+        let mut hidden = frame(1.0, 0);
+        hidden.mask = Some((0..1200).map(|i| u8::from(i != 0)).collect());
+        hidden.alpha = Some((0..1200).map(|i| if i == 1 { 127 } else { 128 }).collect());
+        // Depths up to 0.01 are no measurement, here the last.
+        hidden.depth.as_mut().unwrap()[1199] = 0.01;
+        // 1199 / 60 = 19, odd.
+        assert_eq!(fused_points(&[hidden], 10).1[0], [20.0 / 255.0; 3]);
+        assert_eq!(fused_points(&[frame(1.0, 0)], 10).1[0], [20.0 / 255.0; 3]);
+        // As many as are wanted stay.
+        assert_eq!(fused_points(&[frame(1.0, 0)], 1200).0.len(), 1200);
+    }
+
+    #[test]
+    fn cells_grow_until_there_are_few_enough() {
+        // 101 points on a line of length 100: cells of 100 · √(3/5) / 4 = 19.4 are six, of 1.2 times that five.
+        let points: Vec<[f32; 3]> = (0..=100).map(|i| [3.0, i as f32 - 50.0, 8.0]).collect();
+        assert_eq!(spread(&points, 5), [0, 24, 47, 70, 93]);
+        assert_eq!(spread(&points, 101).len(), 101);
+    }
 }

@@ -169,4 +169,60 @@ mod tests {
         }
         assert_eq!(random_points(3, [zero, one], 1).unwrap().0.len(), 3);
     }
+
+    #[test]
+    fn first_gaussians_have_the_values_of_their_settings() {
+        let settings =
+            InitialSettings { opacity: 0.2, scale: 0.5, sh_degree: 1, random_quats: true };
+        let (points, colors) =
+            ([[0.0, 1.0, 2.0], [0.0, 1.0, 6.0]], [[0.1, 0.2, 0.3], [0.9, 0.7, 0.6]]);
+        let model = from_points(&points, &colors, &settings, 5).unwrap();
+        let counter = Counter::new(5, Purpose::Start, 0);
+        for i in 0..2 {
+            let row = model.row(i);
+            assert_eq!(row.mean, points[i]);
+            assert_eq!(row.quat, counter.units(i).map(|v| v as f32));
+            // Four apart, half of it; logit(0.2) = −ln 4.
+            assert!(row.log_scale.iter().all(|s| (s - 2f32.ln()).abs() < 1e-6), "{row:?}");
+            assert!((row.logit + 4f32.ln()).abs() < 1e-6, "{row:?}");
+            for c in 0..3 {
+                let want = (colors[i][c] - 0.5) / 0.282_094_79;
+                assert!((model.gaussians.sh[12 * i + c] - want).abs() < 1e-6, "{i} {c}");
+            }
+            assert_eq!(model.gaussians.sh[12 * i + 3..12 * (i + 1)], [0.0; 9]);
+        }
+        let still = InitialSettings { random_quats: false, ..settings };
+        assert_eq!(
+            from_points(&points, &colors, &still, 5).unwrap().row(1).quat,
+            [1.0, 0.0, 0.0, 0.0]
+        );
+        let refused = |settings: InitialSettings| {
+            from_points(&points, &colors, &settings, 1).unwrap_err().to_string()
+        };
+        for scale in [0.0, -1.0, f32::INFINITY, f32::NAN] {
+            let error = refused(InitialSettings { scale, ..settings });
+            assert!(error.starts_with("initial scale is"), "{error}");
+        }
+        let error = refused(InitialSettings { sh_degree: 4, ..settings });
+        assert_eq!(error, "sh_degree is 4; it has to be 0 to 3");
+        let error = refused(InitialSettings { opacity: 1.0, ..settings });
+        assert_eq!(error, "initial opacity is 1; it has to be between 0 and 1");
+        let error = from_points(&points, &colors[..1], &settings, 1).unwrap_err().to_string();
+        assert_eq!(error, "colors of the points: expected 2 values, got 1");
+    }
+
+    #[test]
+    fn random_points_are_uniform_in_their_box() {
+        let (low, high) = ([-1.0, 2.0, 10.0], [1.0, 2.5, 40.0]);
+        let (points, colors) = random_points(40, [low, high], 9).unwrap();
+        let counter = Counter::new(9, Purpose::Start, 1);
+        for i in 0..40 {
+            let (at, color) = (counter.units(2 * i), counter.units(2 * i + 1));
+            for k in 0..3 {
+                let want = f64::from(low[k]) + f64::from(high[k] - low[k]) * at[k];
+                assert!((f64::from(points[i][k]) - want).abs() < 1e-5, "{i} {k}");
+                assert_eq!(colors[i][k], color[k] as f32, "{i} {k}");
+            }
+        }
+    }
 }

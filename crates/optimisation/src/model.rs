@@ -276,4 +276,84 @@ mod tests {
         assert_eq!(place(&|m| m.gaussians.sh[12] = f32::NAN), (true, false));
         assert_eq!(place(&|m| m.gaussians.sh[11] = f32::NAN), (false, true));
     }
+
+    #[test]
+    fn harmonics_of_a_scene_are_cut_or_filled() {
+        let scene = GaussianScene {
+            coord: vec![[1.0, 2.0, 3.0], [4.0, 5.0, 6.0]],
+            log_scale: vec![[-1.0, -2.0, 0.5], [0.0, 1.0, -3.0]],
+            quat: vec![[0.6, 0.0, -0.8, 0.0], [1.0, 0.0, 0.0, 0.0]],
+            opacity_logit: vec![1.5, -0.5],
+            sh_dc: vec![[0.1, 0.2, 0.3], [0.4, 0.5, 0.6]],
+            sh_rest: (1..=18).map(|v| v as f32).collect(),
+            sh_degree: 1,
+            ..GaussianScene::default()
+        };
+        for (degree, width, kept) in [(0u8, 3, 3), (1, 12, 12), (2, 27, 12)] {
+            let model = Model::from_scene(&scene, degree).unwrap();
+            assert_eq!(
+                (model.gaussians.sh_degree, model.sh_stride(), model.len()),
+                (degree, width, 2)
+            );
+            for i in 0..2 {
+                let mut want = scene.sh_dc[i].to_vec();
+                want.extend(&scene.sh_rest[9 * i..9 * (i + 1)]);
+                want.truncate(kept);
+                want.resize(width, 0.0);
+                assert_eq!(model.gaussians.sh[width * i..width * (i + 1)], want, "{degree} {i}");
+                let row = model.row(i);
+                assert_eq!((row.mean, row.quat), (scene.coord[i], scene.quat[i]));
+                assert_eq!(
+                    (row.log_scale, row.logit),
+                    (scene.log_scale[i], scene.opacity_logit[i])
+                );
+                let opacity = 1.0 / (1.0 + (-f64::from(row.logit)).exp());
+                assert!((f64::from(model.gaussians.opacities[i]) - opacity).abs() < 1e-7);
+                assert_eq!(model.gaussians.scales[i], row.log_scale.map(f32::exp));
+            }
+        }
+        assert_eq!(Model::from_scene(&scene, 1).unwrap().to_scene(), scene);
+        let cut = GaussianScene { opacity_logit: vec![1.5], ..scene };
+        assert!(Model::from_scene(&cut, 1).is_err());
+        assert!(Model::from_arrays(&[], vec![0.0], 0).is_err() && Model::new(3).is_empty());
+        assert_eq!(Model::new(3).sh_stride(), 48);
+    }
+
+    #[test]
+    fn a_scene_has_quaternions_of_length_one_with_w_at_least_0() {
+        let mut model = two();
+        model.gaussians.quats = vec![[-1.2, 0.0, 1.6, 0.0], [0.0, 0.0, 0.0, 0.0]];
+        let scene = model.to_scene();
+        for (got, want) in scene.quat[0].into_iter().zip([0.6, 0.0, -0.8, 0.0]) {
+            assert!((got - want).abs() < 1e-6, "{:?}", scene.quat);
+        }
+        assert_eq!(scene.quat[1], [0.0; 4]);
+        assert_eq!((scene.sh_dc[1], scene.sh_degree), ([12.0, 13.0, 14.0], 1));
+        assert_eq!(scene.sh_rest[9..], (15..24).map(|v| v as f32).collect::<Vec<_>>());
+    }
+
+    #[test]
+    fn a_shape_is_set_in_both_forms_and_rows_are_kept_in_order() {
+        let mut model = two();
+        model.push(&Stored { mean: [7.0; 3], ..two().row(1) }, &[9.0; 12]);
+        model.set_shape(1, 0.9, [0.5, 2.0, 3.0]);
+        // logit(0.9) = ln 9.
+        assert!(
+            (model.logits[1] - 9f32.ln()).abs() < 1e-6
+                && (model.gaussians.opacities[1] - 0.9).abs() < 1e-6
+        );
+        for (k, scale) in [0.5f32, 2.0, 3.0].into_iter().enumerate() {
+            assert_eq!(model.log_scales[1][k], scale.ln());
+            assert!((model.gaussians.scales[1][k] - scale).abs() < 1e-6);
+        }
+        let rows = [model.row(1), model.row(2)];
+        model.retain(&[false, true, true]);
+        assert_eq!((model.len(), [model.row(0), model.row(1)]), (2, rows));
+        let sh: Vec<f32> = (12..24).map(|v| v as f32).chain([9.0; 12]).collect();
+        assert_eq!(model.gaussians.sh, sh);
+        let drawn = model.clone();
+        model.activate();
+        assert_eq!(model, drawn);
+        model.gaussians.check().unwrap();
+    }
 }

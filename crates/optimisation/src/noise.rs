@@ -111,4 +111,49 @@ mod tests {
         let spread = (spread / (3 * n) as f64).sqrt() / gate;
         assert!((spread - 1.0).abs() < 0.02, "standard deviation {spread}");
     }
+
+    #[test]
+    fn any_rotation_moves_by_its_covariance() {
+        let (quat, scale) = ([0.7f32, -0.4, 0.9, 0.2], [0.3f32, 1.1, 2.0]);
+        let (xi, norm) = ([0.8f32, -1.3, 0.4], (0.49f64 + 0.16 + 0.81 + 0.04).sqrt());
+        let r = rotation(quat.map(|v| f64::from(v) / norm));
+        // Σ = R S² Rᵀ entry by entry.
+        let sigma = |i: usize, j: usize| {
+            (0..3).map(|k| r[i][k] * f64::from(scale[k]).powi(2) * r[j][k]).sum::<f64>()
+        };
+        let by = displacement(quat, scale, 0.02, xi, 5.0);
+        for i in 0..3 {
+            let along: f64 = (0..3).map(|j| sigma(i, j) * f64::from(xi[j])).sum();
+            let want = 5.0 * along / (1.0 + 1.5f64.exp());
+            assert!((f64::from(by[i]) - want).abs() < 1e-5, "{i}: {} {want}", by[i]);
+        }
+    }
+
+    #[test]
+    fn each_row_moves_by_its_own_numbers_shape_and_gate() {
+        let n = CHUNK + 3;
+        // The gate is closed from 0.005 + ln(1e9) / 100 = 0.2122 on.
+        let opacity = |i: usize| [0.001, 0.2, 0.2105, 0.214, 0.05][i % 5];
+        let row = |i: usize| Stored {
+            mean: [i as f32, -2.0, 0.5],
+            log_scale: [0.1 * (i % 3) as f32, -0.5, 1.0],
+            quat: [1.0, 0.1 * (i % 7) as f32, -0.3, 0.2],
+            logit: crate::model::logit(opacity(i)),
+        };
+        let rows: Vec<Stored> = (0..n).map(row).collect();
+        let mut model = Model::from_arrays(&rows, vec![0.0; 3 * n], 0).unwrap();
+        let before = model.gaussians.clone();
+        add_noise(&mut model, 1e6, 7, 11);
+        let counter = Counter::new(7, Purpose::Noise, 11);
+        for i in [0, 1, 2, 3, 4, 8, CHUNK - 1, CHUNK, CHUNK + 1, CHUNK + 2] {
+            let b = &before;
+            let by = displacement(b.quats[i], b.scales[i], b.opacities[i], counter.normals(i), 1e6);
+            let stays = i % 5 == 3;
+            for k in 0..3 {
+                let want = if stays { b.means[i][k] } else { b.means[i][k] + by[k] };
+                assert_eq!(model.gaussians.means[i][k], want, "{i} {k}");
+            }
+            assert_eq!(model.gaussians.means[i] == b.means[i], stays, "{i}");
+        }
+    }
 }

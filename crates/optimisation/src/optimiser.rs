@@ -396,6 +396,9 @@ impl FrameOrder {
 }
 
 #[cfg(test)]
+mod by_hand;
+
+#[cfg(test)]
 mod tests {
     use super::*;
     use crate::Colors;

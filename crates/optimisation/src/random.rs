@@ -109,4 +109,26 @@ mod tests {
         assert!((product / n).abs() < 4.0 / n.sqrt());
         assert_ne!(counter.words(1), Counter::new(3, Purpose::Add, 7).words(1));
     }
+
+    #[test]
+    fn a_row_draws_by_seed_step_purpose_and_row_each_in_its_place() {
+        // The third vector of Random123: digits of pi.
+        let (counter, key) =
+            ([0x243f_6a88, 0x85a3_08d3, 0x1319_8a2e, 0x0370_7344], [0xa409_3822, 0x299f_31d0]);
+        assert_eq!(philox(counter, key), [0xd16c_fe09, 0x94fd_cceb, 0x5001_e420, 0x2412_6ea1]);
+        use Purpose::{Add, Background, Noise, Order, Relocate, Split, Start};
+        let numbers = [Noise, Relocate, Add, Split, Start, Background, Order].map(|p| p as u32);
+        assert_eq!(numbers, [1, 2, 3, 4, 5, 6, 7]);
+        let counter = Counter::new(0x0000_0005_0000_0007, Split, 0x0000_0003_0000_0002);
+        let words = philox([9, 2, 3 ^ (4 << 24), 0], [7, 5]);
+        assert_eq!(counter.words(9), words);
+        assert_eq!(counter.units(9), words.map(|w| f64::from(w) / 2f64.powi(32)));
+        // Box and Muller: the middle of each of 2³² parts of 0 to 1.
+        let [a, b, c, d] = words.map(|w| (f64::from(w) + 0.5) / 2f64.powi(32));
+        let (r, s, tau) = ((-2.0 * a.ln()).sqrt(), (-2.0 * c.ln()).sqrt(), std::f64::consts::TAU);
+        let want = [r * (tau * b).cos(), r * (tau * b).sin(), s * (tau * d).cos()];
+        for (got, want) in counter.normals(9).into_iter().zip(want) {
+            assert!((f64::from(got) - want).abs() < 1e-6, "{got} {want}");
+        }
+    }
 }

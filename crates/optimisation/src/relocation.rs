@@ -120,4 +120,31 @@ mod tests {
             }
         }
     }
+
+    #[test]
+    fn shapes_of_copies_by_hand() {
+        // Three of 0.8: o' = 1 − 0.2^(1/3), D = 3 o' − 3 o'²/√2 + o'³/√3.
+        let o = 1.0 - 0.2f64.cbrt();
+        let factor = 0.8 / (3.0 * o - 3.0 * o * o / 2f64.sqrt() + o.powi(3) / 3f64.sqrt());
+        let (opacity, scale) = relocated(0.8, [0.5, 1.0, 4.0], 3, Relocation::default());
+        assert!((f64::from(opacity) - o).abs() < 1e-7);
+        for (found, k) in scale.into_iter().zip([0.5, 1.0, 4.0]) {
+            assert!((f64::from(found) / (factor * k) - 1.0).abs() < 1e-6, "{found}");
+        }
+        assert_eq!((Relocation::default(), MOST_COPIES), (Relocation::Gsplat15, 51));
+        for version in [Relocation::Gsplat15, Relocation::Gsplat16] {
+            let of = |opacity: f32, copies| relocated(opacity, [1.0; 3], copies, version);
+            assert_eq!((of(0.9, 52), of(0.9, 0)), (of(0.9, 51), of(0.9, 1)));
+            assert_ne!(of(0.9, 51), of(0.9, 50));
+            // The largest has a finite logit.
+            assert_eq!(of(1.0, 1).0, 1.0 - f32::EPSILON);
+        }
+        // Nothing of an opacity of 0 is to be kept; with the clamped one it gets as small as can be.
+        assert_eq!(relocated(0.0, [2.0; 3], 2, Relocation::Gsplat15), (0.005, [2.0; 3]));
+        let least = [f32::MIN_POSITIVE; 3];
+        assert_eq!(relocated(0.0, [2.0; 3], 2, Relocation::Gsplat16), (0.005, least));
+        let names = [Relocation::Gsplat15, Relocation::Gsplat16]
+            .map(|v| serde_json::to_string(&v).unwrap());
+        assert_eq!(names, ["\"gsplat-1.5\"", "\"gsplat-1.6\""]);
+    }
 }

@@ -60,4 +60,23 @@ mod tests {
         drawn.dedup();
         assert!((900..1000).contains(&drawn.len()), "{}", drawn.len());
     }
+
+    #[test]
+    fn a_row_is_drawn_where_a_unit_falls_among_the_running_sums() {
+        // Running sums 0.5, 2.5 and 4 of rows 0, 2 and 4; seven draws need two rows of four units.
+        let counter = Counter::new(11, Purpose::Relocate, 3);
+        let mut units: Vec<f64> = [counter.units(0), counter.units(1)].concat()[..7].to_vec();
+        units.sort_by(f64::total_cmp);
+        let row_at = |u: f64| {
+            if 4.0 * u < 0.5 {
+                0
+            } else if 4.0 * u < 2.5 {
+                2
+            } else {
+                4
+            }
+        };
+        let want: Vec<u32> = units.into_iter().map(row_at).collect();
+        assert_eq!(draw(&[0.5, 0.0, 2.0, f32::NAN, 1.5], 7, &counter), want);
+    }
 }

@@ -273,4 +273,113 @@ mod tests {
         }
         assert_eq!(free_radius(&view, axis_of(&view), DVec3::new(0.9, 0.0, 1.0)), None);
     }
+
+    #[test]
+    fn nine_of_ten_cameras_say_where_and_half_of_them_how_large() {
+        // Cameras on a circle about (5, 1, −2), at distances 1 to 10, all level.
+        let at = |i: usize, away: f64| {
+            let (s, c) = (0.7 * i as f64).sin_cos();
+            looking([5.0 + away * c, 1.0 + away * s, -2.0], [-c, -s, 0.0])
+        };
+        let mut frames: Vec<_> = (0..10).map(|i| at(i, 1.0 + i as f64)).collect();
+        // Pixels: 24 of 64 above the axis. Of ten radii the sixth.
+        let radius = |away: f64| away * 24.0 / 64f64.hypot(24.0);
+        let found = focus_of(&frames).unwrap();
+        assert!((found.radius - radius(6.0)).abs() < 1e-4, "{found:?}");
+        assert!((focus_of(&frames[..5]).unwrap().radius - radius(3.0)).abs() < 1e-4);
+        let ((points, colors), text) = points_in_view(&frames, 30, 4).unwrap();
+        let corner = |sign: f64| found.point.map(|v| (v + sign * found.radius) as f32);
+        assert_eq!((points, colors), random_points(30, [corner(-1.0), corner(1.0)], 4).unwrap());
+        let side = format!(
+            "RANDOM POINTS in the cube of side {:.3} that the cameras look at",
+            2.0 * radius(6.0)
+        );
+        assert_eq!(text, side);
+        // One of ten that looks away is no harm, two are.
+        let away = |i: usize| {
+            let (s, c) = (0.7 * i as f64).sin_cos();
+            looking([5.0 + 2.0 * c, 1.0 + 2.0 * s, -2.0], [c, s, 0.0])
+        };
+        frames[3] = away(3);
+        assert!((focus_of(&frames).unwrap().radius - radius(6.0)).abs() < 1e-4);
+        frames[4] = away(4);
+        assert_eq!(focus_of(&frames), None);
+        let with =
+            |opacity, scale| InitialSettings { opacity, scale, sh_degree: 1, random_quats: false };
+        assert_eq!(
+            (thin(with(0.11, 0.31)), thin(with(0.11, 0.3))),
+            (with(0.1, 0.3), with(0.11, 0.3))
+        );
+    }
+
+    #[test]
+    fn points_are_on_rays_of_random_pixels_evenly_in_the_logarithm_of_depth() {
+        // In a room, so that there is no focus; pictures of other sizes and lenses.
+        let mut frames = ring(5, |s, c| looking([0.4 * c, 0.2 * s, 0.1 * s], [c, s, 0.1]));
+        let v = &mut frames[2].view;
+        (v.width, v.height, v.fx, v.cx, v.cy) = (30, 60, 40.0, 11.0, 33.0);
+        frames.push(looking([0.0, 0.1, 0.0], [1.0, 0.3, 0.0]));
+        assert_eq!(focus_of(&frames), None);
+        let eyes: Vec<DVec3> =
+            frames.iter().map(|f| DVec3::from(f.view.centre().map(f64::from))).collect();
+        let mean = eyes.iter().sum::<DVec3>() / 6.0;
+        let scale = 1.1 * eyes.iter().map(|e| e.distance(mean)).fold(0.0, f64::max);
+        let project = |f: &TrainingFrame, p: [f32; 3]| {
+            let [x, y, z] = f.view.to_camera(p).map(f64::from);
+            let v = &f.view;
+            [
+                x / z * f64::from(v.fx) + f64::from(v.cx),
+                y / z * f64::from(v.fy) + f64::from(v.cy),
+                z,
+            ]
+        };
+        let counter = Counter::new(8, Purpose::Start, 2);
+        for views in [1, 2] {
+            let found = seen_points(&frames, 60, 8, views);
+            let mut next = found.iter();
+            let mut tried = 0;
+            for i in 0.. {
+                let [which, pixel, depth, _] = counter.units(i);
+                let f = &frames[(6.0 * which) as usize];
+                let (w, pixel) = (f.view.width as usize, (pixel * f.view.pixels() as f64) as usize);
+                // 0.3 to 30: a factor of 100.
+                let z = 0.3 * scale * 100f64.powf(depth);
+                let at = lifted(f, pixel, z as f32);
+                let seen = |f: &&TrainingFrame| {
+                    let [u, v, z] = project(f, at);
+                    z > 0.0
+                        && u >= 0.0
+                        && v >= 0.0
+                        && u < f.view.width.into()
+                        && v < f.view.height.into()
+                };
+                if frames.iter().filter(seen).count() < views {
+                    continue;
+                }
+                let Some(point) = next.next() else { break };
+                let [u, v, depth] = project(f, *point);
+                assert!((u - (pixel % w) as f64 - 0.5).abs() < 0.01, "{views} {i}: {u}");
+                assert!(
+                    (v - (pixel / w) as f64 - 0.5).abs() < 0.01 && (depth / z - 1.0).abs() < 1e-4
+                );
+                tried += 1;
+            }
+            assert_eq!((tried, found.len()), (60, 60));
+        }
+        let ((points, colors), text) = points_in_view(&frames, 20, 8).unwrap();
+        // Too few are seen by three.
+        assert!(seen_points(&frames, 20, 8, 3).len() < 10);
+        assert_eq!(points, seen_points(&frames, 20, 8, 2));
+        assert_eq!(colors, random_points(20, [[0.0; 3], [1.0; 3]], 8).unwrap().1);
+        assert_eq!(text, "RANDOM POINTS that 2 or more cameras see");
+        let beside: Vec<_> =
+            (0..5).map(|i| looking([0.1 * f64::from(i), 0.0, 0.0], [0.0, 1.0, 0.0])).collect();
+        let ((points, _), text) = points_in_view(&beside, 20, 8).unwrap();
+        assert_eq!(points, seen_points(&beside, 20, 8, 3));
+        assert_eq!(text, "RANDOM POINTS that 3 or more cameras see");
+        // Back to back nothing is seen by two.
+        let apart = [looking([0.0; 3], [1.0, 0.0, 0.0]), looking([0.0; 3], [-1.0, 0.0, 0.0])];
+        let ((points, _), text) = points_in_view(&apart, 20, 8).unwrap();
+        assert_eq!((points.len(), text.as_str()), (20, "RANDOM POINTS that 1 or more cameras see"));
+    }
 }

@@ -198,4 +198,66 @@ mod tests {
             }
         }
     }
+
+    /// A row with its border made by hand, in f64.
+    #[test]
+    fn forward_is_the_gaussian_window_over_the_padded_row() {
+        let bell: Vec<f64> = (-5i32..=5).map(|x| (-f64::from(x * x) / 4.5).exp()).collect();
+        let sum: f64 = bell.iter().sum();
+        for padding in SsimPadding::ALL {
+            for width in [padding.least_side().max(6), 11, 13, 27] {
+                if padding == SsimPadding::Valid && width < 11 {
+                    continue;
+                }
+                let across = Across::new(width, padding);
+                let x: Vec<f32> = (0..3 * width).map(|i| ((i * i) as f32 * 0.37).sin()).collect();
+                let (mut fused, mut plain) = (vec![0.0; 3 * width], vec![0.0; 3 * width]);
+                across.forward::<true>(&x, &mut fused);
+                across.forward::<false>(&x, &mut plain);
+                let last = width as i32 - 1;
+                let at = |place: i32, c: usize| {
+                    let mirrored = if place < 0 {
+                        -place
+                    } else if place > last {
+                        2 * last - place
+                    } else {
+                        place
+                    };
+                    let inside = (0..=last).contains(&place) || padding == SsimPadding::Reflect;
+                    if inside { f64::from(x[3 * mirrored as usize + c]) } else { 0.0 }
+                };
+                let valid = 3 * 5..3 * (width - 5);
+                let range = if padding == SsimPadding::Valid { valid } else { 0..3 * width };
+                assert_eq!(
+                    (across.result_range(), across.results()),
+                    (range.clone(), range.len() / 3)
+                );
+                assert_eq!(across.clamps(), padding == SsimPadding::Reflect);
+                for i in range {
+                    let (place, c) = ((i / 3) as i32, i % 3);
+                    let want: f64 =
+                        (0..11).map(|k| bell[k] / sum * at(place + k as i32 - 5, c)).sum();
+                    for got in [fused[i], plain[i]] {
+                        assert!((f64::from(got) - want).abs() < 1e-6, "{padding} {width}: {i}");
+                    }
+                    // Down a column the same weights are looked up.
+                    let axis = Axis::new(width, padding);
+                    let down: f64 = (0..11)
+                        .filter(|k| (0..=last).contains(&(place + *k as i32 - 5)))
+                        .map(|k| f64::from(axis.forward(i / 3)[k]) * at(place + k as i32 - 5, c))
+                        .sum();
+                    assert!(
+                        (down - want).abs() < 1e-6 && axis.has_result(i / 3),
+                        "{padding} {width}: {i}"
+                    );
+                }
+            }
+        }
+        let axis = Axis::new(20, SsimPadding::Valid);
+        assert_eq!([4, 5, 14, 15].map(|at| axis.has_result(at)), [false, true, true, false]);
+        assert_eq!(
+            (axis.results(), axis.backward(2)[8] > 0.0, axis.backward(2)[7]),
+            (10, true, 0.0)
+        );
+    }
 }

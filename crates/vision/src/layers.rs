@@ -157,4 +157,43 @@ mod tests {
         // Not the exact one, 0.841345.
         assert!((two[0] - 0.841_192).abs() < 1e-6);
     }
+
+    fn linear(weight: &[f32], cin: usize, bias: &[f32]) -> Linear {
+        let weight = PackedMatrix::from_strided(weight, cin, bias.len(), 1, cin);
+        Linear { weight, bias: bias.to_vec() }
+    }
+
+    fn near(got: &[f32], want: &[f32]) {
+        assert_eq!(got.len(), want.len());
+        let off = got.iter().zip(want).map(|(g, w)| (g - w).abs()).fold(0.0, f32::max);
+        assert!(off < 1e-5, "{got:?} {want:?}");
+    }
+
+    #[test]
+    fn layers_by_hand() {
+        // Two inputs, three outputs, two rows: 1·1 + 2·2 + 10, 3·1 + 4·2 + 20, −1·1 + 0·2 − 30, …
+        let layer = linear(&[1.0, 2.0, 3.0, 4.0, -1.0, 0.0], 2, &[10.0, 20.0, -30.0]);
+        let x = [1.0, 2.0, -1.0, 0.5];
+        near(&layer.forward(&x), &[15.0, 31.0, -31.0, 10.0, 19.0, -29.0]);
+        let skip = [0.5, 0.25, 0.125, 1.0, 2.0, 3.0];
+        near(&layer.plus(&x, &skip), &[15.5, 31.25, -30.875, 11.0, 21.0, -26.0]);
+        // The values 1, 3 and 8 have the mean 4 and the variance 26/3; with an ε of 1/3 the deviation is 3.
+        let norm = Norm { weight: vec![3.0, 6.0, 0.3], bias: vec![1.0, 0.0, -1.0], eps: 1.0 / 3.0 };
+        near(&norm.forward(&[1.0, 3.0, 8.0]), &[-2.0, -2.0, -0.6]);
+        // A ReLU between layers, none behind the last: (2, −3) → (2, 0) → −2 + 0.5.
+        let mlp =
+            ReluMlp(vec![linear(&[2.0, -3.0], 1, &[0.0, 0.0]), linear(&[-1.0, 7.0], 2, &[0.5])]);
+        near(&mlp.forward(&[1.0, -1.0]), &[-1.5, 21.5]);
+        // The exact GELU between: gelu(1) = 0.8413447 and gelu(−1) = −0.1586553.
+        let (first, second) =
+            (linear(&[1.0, -1.0], 1, &[0.0, 0.0]), linear(&[10.0, 100.0], 2, &[3.0]));
+        near(&mlp_gelu(&[1.0], &first, &second, &[0.25]), &[8.413_447 - 15.865_53 + 3.25]);
+        let mut all = vec![1.0f32; 40_000];
+        gelu(&mut all);
+        near(&all, &vec![0.841_344_7; 40_000]);
+        let mut sum = [1.0, 2.0];
+        add(&mut sum, &[0.5, -3.0]);
+        assert_eq!(sum, [1.5, -1.0]);
+        assert_eq!(layer.bytes(), layer.weight.bytes());
+    }
 }

@@ -225,3 +225,27 @@ pub(crate) fn standardize(planes: &mut [f32], mean: [f32; 3], std: [f32; 3]) {
         plane.iter_mut().for_each(|v| *v = (*v - mean[channel]) / std[channel]);
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn each_channel_has_its_own_mean_and_spread() {
+        let mut planes = [0.5, 1.0, 0.5, 1.0, 0.5, 1.0];
+        standardize(&mut planes, [0.5, 0.25, 0.0], [0.5, 0.25, 2.0]);
+        assert_eq!(planes, [0.0, 1.0, 1.0, 3.0, 0.25, 0.5]);
+        standardize(&mut [], [0.0; 3], [1.0; 3]);
+    }
+
+    #[test]
+    fn the_cubic_is_that_of_pillow() {
+        // a = −½: 1 − 2.5 x² + 1.5 x³ below 1, 2 − 4 x + 2.5 x² − 0.5 x³ below 2.
+        for (x, want) in [(0.0, 1.0), (-0.5, 0.5625), (1.0, 0.0), (1.5, -0.0625), (-2.0, 0.0)] {
+            assert_eq!(Filter::Bicubic.weight(x), want, "{x}");
+        }
+        for (x, want) in [(0.0, 1.0), (-0.25, 0.75), (1.0, 0.0), (3.0, 0.0)] {
+            assert_eq!(Filter::Bilinear.weight(x), want, "{x}");
+        }
+    }
+}

@@ -137,6 +137,52 @@ mod tests {
         assert!(((line.high[0] - line.low[0]) - 5.0).abs() < 1e-9, "{line:?}");
     }
 
+    #[test]
+    fn every_side_of_a_box_is_where_its_points_end() {
+        // A plan of the sides (−3, 4) / 5 and (4, 3) / 5, of 2 by 5 m, from z = 3 to 7, with corners in no order.
+        let at = |a: f32, b: f32, z: f32| [-0.6 * a + 0.8 * b + 10.0, 0.8 * a + 0.6 * b - 20.0, z];
+        let points =
+            [at(2., 5., 3.), at(0., 0., 7.), at(1., 2., 4.), at(2., 0., 5.), at(0., 5., 6.)];
+        let found = UprightBox::around(&points).unwrap();
+        let [u, v] = found.axes;
+        assert!((u[0] * v[0] + u[1] * v[1]).abs() < 1e-9 && (u[0].hypot(u[1]) - 1.0).abs() < 1e-9);
+        assert_eq!((found.low[2], found.high[2]), (3.0, 7.0));
+        for (name, grown, size) in [("as it is", 0.0, 0.0), ("grown by half a meter", 0.5, 0.25)] {
+            let around = found.grown(grown);
+            let inside = |a: f64, b: f64, z: f64| around.contains(at(a as f32, b as f32, z as f32));
+            let (near, far) = (size - 0.01, size + 0.01);
+            assert!(inside(1.0, 2.0, 5.0), "{name}");
+            for (a, b, z) in [
+                (-1., 0., 0.),
+                (1., 0., 0.),
+                (0., -1., 0.),
+                (0., 1., 0.),
+                (0., 0., -1.),
+                (0., 0., 1.),
+            ] {
+                let place = |off: f64| {
+                    let middle: [f64; 3] = [1.0, 2.5, 5.0];
+                    let half: [f64; 3] = [1.0, 2.5, 2.0];
+                    [a, b, z]
+                        .iter()
+                        .zip(middle.iter().zip(half))
+                        .map(|(s, (m, h))| m + s * (h + off))
+                        .collect::<Vec<f64>>()
+                };
+                let [near, far] = [place(near), place(far)];
+                assert!(inside(near[0], near[1], near[2]), "{name}: {near:?}");
+                assert!(!inside(far[0], far[1], far[2]), "{name}: {far:?}");
+            }
+        }
+        // Of one point the sides are those of the world, and the borders belong to the box.
+        let one = UprightBox::around(&[[1.0, -2.0, 3.0]]).unwrap();
+        assert_eq!(
+            (one.axes, one.low, one.high),
+            ([[1.0, 0.0], [0.0, 1.0]], [1.0, -2.0, 3.0], [1.0, -2.0, 3.0])
+        );
+        assert!(one.contains([1.0, -2.0, 3.0]));
+    }
+
     /// The smallest area over all directions, by trying many.
     fn by_trying(points: &[[f32; 3]]) -> f64 {
         let area = |turn: f64| {

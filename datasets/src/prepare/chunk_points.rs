@@ -115,4 +115,37 @@ mod tests {
         let error = transfer_to_chunks(&scene, &chunk, &settings).unwrap_err().to_string();
         assert!(error.contains("pc_segment20.npy") && error.contains("10 rows"), "{error}");
     }
+
+    #[test]
+    fn a_chunk_keeps_the_values_of_its_points_in_the_scenes_order() {
+        assert_eq!(ChunkTransfer::default(), ChunkTransfer { neighbours: 16, max_distance: 0.25 });
+        let dir = tempfile::tempdir().unwrap();
+        let (scene, chunk) = (dir.path().join("a"), dir.path().join("a_0"));
+        std::fs::create_dir(&scene).unwrap();
+        std::fs::create_dir(&chunk).unwrap();
+        let error = transfer_to_chunks(&scene, &chunk, &ChunkTransfer::default()).unwrap_err();
+        assert!(
+            std::error::Error::source(&error).is_some() || error.to_string().contains("pc_coord")
+        );
+        // Exactly 0.5 from the first Gaussian: the third point; the second is farther, the first is the second's.
+        let coord = [[4.0f32, 1.0, 2.0], [1.0, 0.0, 0.5625], [1.0, 0.5, 0.0], [1.0, 0.0, 0.25]];
+        write_npy(&scene.join("pc_coord.npy"), &[4, 3], coord.as_flattened()).unwrap();
+        write_npy(&scene.join("pc_normal.npy"), &[4, 2], &[1.5f32, 2., 3., 4., 5., 6., 7., 8.])
+            .unwrap();
+        write_npy(&scene.join("pc_segment.npy"), &[4], &[1i64 << 40, 1, -1, 3]).unwrap();
+        write_npy(&scene.join("segment.npy"), &[4], &[0i32, 1, 2, 3]).unwrap();
+        write_npy(&chunk.join("coord.npy"), &[2, 3], &[1.0f32, 0., 0., 4., 1., 2.]).unwrap();
+        let settings = ChunkTransfer { neighbours: 3, max_distance: 0.5 };
+        let report = transfer_to_chunks(&scene, &chunk, &settings).unwrap();
+        assert_eq!((report.points, report.kept), (4, 3));
+        assert_eq!(report.files, ["pc_coord.npy", "pc_normal.npy", "pc_segment.npy"]);
+        let read = |name: &str| NpyFile::open(&chunk.join(name)).unwrap();
+        let kept = [[4.0f32, 1.0, 2.0], [1.0, 0.5, 0.0], [1.0, 0.0, 0.25]];
+        assert_eq!(read("pc_coord.npy").read_f32().unwrap(), kept.as_flattened());
+        assert_eq!(read("pc_normal.npy").read_f32().unwrap(), [1.5, 2., 5., 6., 7., 8.]);
+        assert_eq!(read("pc_normal.npy").shape(), [3, 2]);
+        // A number that no i32 holds is no label.
+        assert_eq!(read("pc_segment.npy").read_i64().unwrap(), [-1, -1, 3]);
+        assert!(!chunk.join("segment.npy").exists());
+    }
 }

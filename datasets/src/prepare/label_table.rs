@@ -273,4 +273,65 @@ mod tests {
         assert_eq!((tables[0].stem.as_str(), of(0)), ("segment", [0, 1, 2, 3, 4, 13, 21]));
         assert_eq!((tables[1].stem.as_str(), of(1)), ("segment20", [0, 1, 2, 3, 4, 12, -1]));
     }
+
+    #[test]
+    fn lists_and_tables_have_their_sizes_and_their_odd_rows() {
+        let dir = tempfile::tempdir().unwrap();
+        let path = dir.path().join("table.tsv");
+        // A mark of the byte order, ends of lines with a return, an empty line, a short row, spaces and quotes.
+        let text = "\u{feff}raw_category\tid\tnyu40id\tnyuClass\r\n\r\n \"Sofa\tbed\" \t 6 \t6\tsofa\r\nshort\r\n\
+                    shower curtain\t28\t28\tcurtain\r\nroof\t41\t22\tno such\r\nother\t39\t39\tLAMP\r\npanel\t1\t1\twall\r\nx\ty\tz\t\r\n";
+        std::fs::write(&path, text).unwrap();
+        let tables = LabelTables { table: Some(&path), classes: None };
+        let names = ["sofa\tbed", "Shower Curtain ", "roof", "other", "short", "panel"];
+        let of = |layout| -> Vec<(String, usize, [i32; 6])> {
+            let found: Vec<LabelTable> = tables.of(layout).unwrap();
+            let each =
+                |t: &LabelTable| (t.stem.clone(), t.classes.len(), names.map(|n| t.class_of(n)));
+            found.iter().map(each).collect()
+        };
+        let want = |stem: &str, size, classes| (stem.to_owned(), size, classes);
+        // ScanNet: places of 6, 28, (22), 39 in the list of 20; of 6, 28, 41, 39 in the list of 200.
+        let coarse = want("segment20", 20, [5, 15, -1, 19, -1, 0]);
+        let fine =
+            [6, 28, 41, 39].map(|id| SCANNET200_IDS.iter().position(|v| *v == id).unwrap() as i32);
+        let fine = want("segment200", 200, [fine[0], fine[1], fine[2], fine[3], -1, 0]);
+        assert_eq!((of(ScanLayout::Scannet), fine.2[0]), (vec![coarse, fine], 5));
+        let class = |list: &str, name: &str| names_at(list, name);
+        let coarse = want("segment", 21, [5, 15, 20, 19, -1, 0]);
+        let [sofa, curtain, lamp] = ["sofa", "curtain", "lamp"].map(|n| class(MATTERPORT160, n));
+        let fine = want("segment_nyu_160", 160, [sofa, curtain, -1, lamp, -1, 0]);
+        assert_eq!(of(ScanLayout::Matterport3d), [coarse, fine]);
+        let none = LabelTables::default();
+        let sizes = |layout| -> Vec<(String, usize)> {
+            none.of(layout).unwrap().into_iter().map(|t| (t.stem, t.classes.len())).collect()
+        };
+        let own = |stem: &str, size| (stem.to_owned(), size);
+        assert_eq!(sizes(ScanLayout::Hypersim), [own("segment", 40), own("segment20", 20)]);
+        assert_eq!(sizes(ScanLayout::ScannetPp), [own("segment", 100)]);
+        assert_eq!(sizes(ScanLayout::Points), [own("segment", 0)]);
+        for layout in [ScanLayout::ThreeRScan, ScanLayout::Arkitscenes, ScanLayout::InteriorGs] {
+            let error = none.of(layout).unwrap_err().to_string();
+            assert!(error.contains(&format!("for the layout {}", layout.name())), "{error}");
+        }
+        // One's own list comes before the layout's, and of points names are the numbers themselves.
+        std::fs::write(&path, "lamp\nsofa\nLAMP\n").unwrap();
+        let own = LabelTables { table: None, classes: Some(&path) };
+        for layout in ScanLayout::ALL {
+            let found = own.of(layout).unwrap();
+            let is_points = layout == ScanLayout::Points;
+            let want = if is_points { [-1, -1, 1, -2] } else { [0, 1, -1, -1] };
+            let classes = ["lamp", "Sofa", "1", "-2"].map(|name| found[0].class_of(name));
+            assert_eq!(
+                (found.len(), classes, found[0].stem.as_str()),
+                (1, want, "segment"),
+                "{layout:?}"
+            );
+            assert_eq!(found[0].classes, ["lamp", "sofa", "LAMP"], "{layout:?}");
+        }
+    }
+
+    fn names_at(list: &str, name: &str) -> i32 {
+        list.lines().position(|line| line.trim() == name).unwrap() as i32
+    }
 }

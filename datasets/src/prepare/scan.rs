@@ -243,6 +243,28 @@ mod tests {
     }
 
     #[test]
+    fn normals_point_where_corners_go_against_the_clock() {
+        // One slanted triangle and a vertex of no face: (1, 0, 0) × (0, 2, 2) = (0, −2, 2), turned round with its corners.
+        let coord = [[1., 1., 1.], [2., 1., 1.], [1., 3., 3.], [4., 4., 4.]];
+        let lists = |values: &[i64], offsets: &[usize]| PlyLists {
+            offsets: offsets.to_vec(),
+            values: values.to_vec(),
+            columns: Vec::new(),
+        };
+        let h = std::f32::consts::FRAC_1_SQRT_2;
+        let normals = vertex_normals(&coord, &lists(&[0, 1, 2], &[0, 3]));
+        let near = |a: [f32; 3], b: [f32; 3]| (0..3).all(|k| (a[k] - b[k]).abs() < 1e-6);
+        assert!(normals[..3].iter().all(|n| near(*n, [0.0, -h, h])), "{normals:?}");
+        assert_eq!(normals[3], [0.0; 3]);
+        let normals = vertex_normals(&coord, &lists(&[0, 2, 1], &[0, 3]));
+        assert!(normals[..3].iter().all(|n| near(*n, [0.0, h, -h])), "{normals:?}");
+        // Faces of two corners, and of no area, say nothing.
+        assert_eq!(vertex_normals(&coord, &lists(&[0, 1, 2, 2, 2], &[0, 2, 5])), [[0.0; 3]; 4]);
+        // A length of 3 by each axis.
+        assert_eq!(unit_or_zero([1.0, -2.0, 2.0]), [1.0 / 3.0, -2.0 / 3.0, 2.0 / 3.0]);
+    }
+
+    #[test]
     fn of_several_objects_a_segment_belongs_to_the_one_with_the_fewest_vertices() {
         // Segment 5 is part of both: the first has two segments and eleven vertices, the second three segments and three.
         let segments = [vec![5], vec![6; 10], vec![7, 8]].concat();

@@ -273,4 +273,69 @@ mod tests {
         assert_eq!((found.scene.segment, report.too_far), (None, 1));
         assert_eq!(report.unknown, []);
     }
+
+    #[test]
+    fn what_is_written_and_reported_is_of_each_table_and_each_point() {
+        let defaults =
+            PrepareSettings { max_distance: Some(0.25), margin: Some(0.5), points: true };
+        assert_eq!(PrepareSettings::default(), defaults);
+        let normals = [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0], [0.0, 0.6, 0.8]];
+        let raw = vec![2, 1, 2, 0];
+        let names = ["b", "sofa", "a"].map(str::to_owned).to_vec();
+        let scan = ScanPoints { normal: Some(normals.to_vec()), raw, names, ..scan() };
+        // Above the box by 0.25, which is on its border; below it by more; the third takes the last point.
+        let given = scene(vec![[1.0, 0.0, 0.25], [1.0, 0.0, -0.26], [0.0, 1.0, 1.1]]);
+        let table = |stem: &str, list: &[&str]| {
+            LabelTable::of_names(stem, list.iter().map(|n| (*n).to_owned()).collect())
+        };
+        let tables = [table("segment", &["x", "sofa"]), table("segment9", &["sofa"])];
+        let (found, report) = prepare(&given, &scan, &tables, &defaults).unwrap();
+        assert_eq!(found.kept, [0, 2]);
+        let columns: Vec<_> = (found.segments.iter())
+            .map(|c| (c.stem.as_str(), c.gaussians.clone(), c.points.clone()))
+            .collect();
+        let first = ("segment", vec![1, -1], vec![-1, 1, -1, -1]);
+        assert_eq!(columns, [first, ("segment9", vec![0, -1], vec![-1, 0, -1, -1])]);
+        assert_eq!(found.scene.normal, Some(vec![normals[1], normals[3]]));
+        assert_eq!(found.scene.instance, Some(vec![6, -1]));
+        let points = found.scene.labelled_points.as_ref().unwrap();
+        assert_eq!((&points.coord, &points.instance), (&scan.coord, &Some(vec![5, 6, 7, -1])));
+        assert_eq!((report.gaussians, report.outside, report.too_far), (3, 1, 0));
+        assert_eq!(report.labelled, [("segment".to_owned(), 1), ("segment9".to_owned(), 1)]);
+        // The most frequent first.
+        assert_eq!(report.unknown, [("a".to_owned(), 2), ("b".to_owned(), 1)]);
+        let once = ScanPoints { raw: vec![0, 1, 2, -1], ..scan.clone() };
+        let (_, report) = prepare(&given, &once, &tables, &defaults).unwrap();
+        assert_eq!(report.unknown, [("a".to_owned(), 1), ("b".to_owned(), 1)], "then by name");
+        let dir = tempfile::tempdir().unwrap();
+        let folder = dir.path().join("a");
+        let read = |name: &str| {
+            let file = NpyFile::open(&folder.join(name)).unwrap();
+            file.read_i64().unwrap()
+        };
+        for points in [true, false] {
+            let settings = PrepareSettings { points, ..defaults };
+            prepare(&given, &scan, &tables, &settings).unwrap().0.write(&folder).unwrap();
+            assert_eq!((read("segment.npy"), read("segment9.npy")), (vec![1, -1], vec![0, -1]));
+            assert_eq!(folder.join("pc_segment9.npy").exists(), points);
+            if points {
+                assert_eq!(read("pc_segment9.npy"), [-1, 0, -1, -1]);
+                assert_eq!(read("pc_instance.npy"), [5, 6, 7, -1]);
+            }
+        }
+        // Exactly as far as the limit is near enough; without normals there are none.
+        let bare = ScanPoints { normal: None, ..scan.clone() };
+        let edge = scene(vec![[1.25, 0.0, 0.0], [1.251, 0.0, 0.0]]);
+        let (found, report) =
+            prepare(&edge, &bare, &tables, &PrepareSettings { margin: None, ..defaults }).unwrap();
+        assert_eq!((found.scene.instance, found.scene.normal), (Some(vec![6, -1]), None));
+        assert_eq!((report.too_far, report.outside), (1, 0));
+        for (short, what) in [
+            (ScanPoints { raw: vec![0; 3], ..scan.clone() }, "raw labels"),
+            (ScanPoints { instance: vec![0; 5], ..scan }, "instances"),
+        ] {
+            let error = prepare(&edge, &short, &tables, &defaults).unwrap_err().to_string();
+            assert!(error.contains(what), "{error}");
+        }
+    }
 }

@@ -186,3 +186,34 @@ impl<M: HasBackbone> Evaluator<M> for DistillationEvaluator {
         Ok([scores.measurements(), own.measure()].concat())
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn rows_agree_by_direction_and_by_a_class_that_both_have() {
+        let full = FullScene { voxel: vec![1, 0, 0, 1, 1], ..FullScene::default() };
+        // Voxels of the student point along (3, 4) and (0, 1); classes none and 2.
+        let student = (&[3.0f32, 4.0, 0.0, 1.0][..], &[-1, 2][..]);
+        // Rows of the teacher: (0, 2), (1, 0), none at all; classes 2, none, 2.
+        let teacher = (&[0.0f32, 2.0, 1.0, 0.0, 0.0, 0.0][..], &[2, -1, 2][..]);
+        let mut agreement = Agreement::default();
+        assert!(agreement.measurements().is_empty());
+        // Cosines 1, 0.6, 0.8, a row of no direction, and a Gaussian without a row.
+        agreement.add(&full, &[0, 1, 0, 2, 9], student, teacher, 2);
+        assert_eq!(agreement.rows(), 3);
+        let found = agreement.measurements();
+        assert!((found[0].value - 2.4 / 3.0).abs() < 1e-9, "{found:?}");
+        // The first alone: two Gaussians without a class do not agree.
+        assert!((found[1].value - 1.0 / 3.0).abs() < 1e-9, "{found:?}");
+        agreement.add(&full, &[0, 9, 9, 9, 9], student, teacher, 2);
+        assert_eq!((agreement.rows(), agreement.measurements()[1].value), (4, 0.5));
+        let names: Vec<String> = found.into_iter().map(|m| m.name).collect();
+        assert_eq!(names, ["agreement/cosine", "agreement/top1"]);
+        let all = DistillationScores::names();
+        assert!(all.contains(&"teacher/mIoU".to_owned()) && all.ends_with(&names));
+        assert_eq!(cosine(&[1.0, 0.0], &[-2.0, 0.0]), Some(-1.0));
+        assert_eq!(cosine(&[0.0, 0.0], &[1.0, 0.0]), None);
+    }
+}

@@ -241,4 +241,44 @@ mod tests {
                 .is_err()
         );
     }
+
+    #[test]
+    fn a_sample_without_its_scene_is_the_scene() {
+        use half::f16;
+        use scenesplat_scene::LanguageFeatures;
+        let rows = LanguageFeatures { values: vec![f16::ONE; 6], dim: 2 };
+        let points =
+            LabelledPoints { coord: on_a_line(&[7.0]), segment: Some(vec![1]), instance: None };
+        let sample = Sample {
+            coord: on_a_line(&[0.0, 1.0, 2.0]),
+            segment: Some(vec![2, -1, 0]),
+            valid_feat: Some(vec![true, false, true]),
+            lang_feat: Some(rows.clone()),
+            labelled_points: Some(points.clone()),
+            ..Sample::default()
+        };
+        let full = as_sampled(&sample);
+        assert_eq!((full.coord, full.voxel), (sample.coord.clone(), vec![0, 1, 2]));
+        assert_eq!((full.segment, full.points), (Some(vec![2, -1, 0]), Some(points)));
+        assert_eq!((full.valid_feat, full.origin_row), (sample.valid_feat.clone(), None));
+        // A row that is marked as none is none of the teacher's.
+        let teacher = full.teacher.unwrap();
+        assert_eq!((teacher.rows, teacher.row_of), (rows, vec![0, TeacherRows::NONE, 2]));
+        let all = as_sampled(&Sample { valid_feat: None, ..sample.clone() });
+        assert_eq!(all.teacher.unwrap().row_of, [0, 1, 2]);
+        assert!(as_sampled(&Sample { lang_feat: None, ..sample }).teacher.is_none());
+    }
+
+    #[test]
+    fn given_labels_are_scored_by_the_same_vote() {
+        let (protocol, full) = (protocol(3, 1), scene());
+        let mut scores = Scores::new(3, &[]).unwrap();
+        // Points 0, 1, 2 get the majority of their three nearest Gaussians: 0 1 1, 0 1 1, and of 2.0, 2.1, 1.1: 2 2 0.
+        protocol.score_labels(&full, vec![0, 1, 1, 0, 0, 2, 2], &mut scores).unwrap();
+        assert_eq!(scores.model.counts(), [0, 1, 0, 0, 1, 0, 0, 0, 1]);
+        assert_eq!(scores.oracle.num_labelled(), 0);
+        let none = FullScene { points: None, segment: None, ..scene() };
+        protocol.score_labels(&none, vec![0; 7], &mut scores).unwrap();
+        assert_eq!(scores.model.num_labelled(), 3);
+    }
 }

@@ -244,3 +244,122 @@ impl AutoencoderEvaluator {
         Ok(found)
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use half::f16;
+    use scenesplat_datasets::{DataError, Sample};
+
+    struct Nothing;
+    impl Dataset for Nothing {
+        fn len(&self) -> usize {
+            0
+        }
+        fn get(&self, _: u64, _: usize) -> std::result::Result<Sample, DataError> {
+            Ok(Sample::default())
+        }
+        fn id(&self, _: usize) -> &str {
+            ""
+        }
+    }
+
+    fn task(config: &AutoencoderConfig) -> AutoencoderTask {
+        AutoencoderTask::new(config, ParamStore::trainable(1)).unwrap()
+    }
+
+    fn features(rows: &[[f32; 2]]) -> LanguageFeatures {
+        let values = rows.iter().flatten().map(|v| f16::from_f32(*v)).collect();
+        LanguageFeatures { values, dim: 2 }
+    }
+
+    #[test]
+    fn rows_that_count_are_brought_to_unit_length() {
+        let task = task(&AutoencoderConfig { widths: vec![2, 1], ..<_>::default() });
+        let rows = [[3.0, 4.0], [0.0, 0.0], [0.0, -2.0], [f32::NAN, 1.0], [5.0, 0.0]];
+        let valid = [true, true, false, false, true];
+        let found = |valid: Option<&[bool]>| {
+            let rows = task.features(Some(&features(&rows)), valid, "a").unwrap();
+            rows.to_vec2::<f32>().unwrap()
+        };
+        let some = found(Some(&valid));
+        // A row of zeros and one that is marked are left out; one that is not a number stays, for the loss to name it.
+        assert_eq!(
+            (some.len(), some[0].as_slice(), some[2].as_slice()),
+            (3, &[0.6, 0.8][..], &[1.0, 0.0][..])
+        );
+        assert!(some[1][0].is_nan() && some[1][1] == 1.0);
+        let all = found(None);
+        assert_eq!((all.len(), all[1].as_slice()), (4, &[0.0, -1.0][..]));
+        let error = task.features(None, None, "a, b").unwrap_err().to_string();
+        assert!(error.contains("scenes a, b has language features"), "{error}");
+        let wide = LanguageFeatures { values: vec![f16::ONE; 3], dim: 3 };
+        let error = task.features(Some(&wide), None, "a").unwrap_err().to_string();
+        assert!(error.contains("are 3 wide, and the first width is 2"), "{error}");
+    }
+
+    #[test]
+    fn the_loss_is_the_sum_of_its_terms_by_their_weights() {
+        let of = |l2: f64, cosine: f64| {
+            let task = task(&AutoencoderConfig { widths: vec![2, 3, 1], l2, cosine });
+            let batch = TrainBatch {
+                coord: vec![[0.0; 3]; 3],
+                lang_feat: Some(features(&[[3.0, 4.0], [0.0, -2.0], [-1.0, 0.5]])),
+                valid_feat: Some(vec![true, true, false]),
+                ..TrainBatch::default()
+            };
+            let mut rng: rand_chacha::ChaCha8Rng =
+                rand_chacha::rand_core::SeedableRng::seed_from_u64(1);
+            let forward = scenesplat_models::Forward::train(&mut rng);
+            let mut cx = StepContext { forward, progress: 0.0, step: 0, total_steps: 1, seed: 0 };
+            let out = task.training_step(&batch, &mut cx).unwrap();
+            assert_eq!((out.rows, out.counted_rows), (3, 2));
+            assert_eq!(out.features.unwrap().dims(), [2, 1]);
+            let names: Vec<&str> = out.terms.iter().map(|(name, _)| name.as_str()).collect();
+            assert_eq!(names, ["l2", "cosine"]);
+            (f64::from(out.loss.to_scalar::<f32>().unwrap()), [out.terms[0].1, out.terms[1].1])
+        };
+        for (l2, cosine) in [(1.0, 1.0), (0.25, 2.0), (3.0, 0.0)] {
+            let (loss, terms) = of(l2, cosine);
+            assert!((loss - l2 * terms[0] - cosine * terms[1]).abs() < 1e-5, "{loss} {terms:?}");
+            assert!(terms[0] > 0.0 && terms[1] > 0.0);
+        }
+    }
+
+    #[test]
+    fn what_is_kept_is_measured_row_by_row() {
+        let table = |rows: &[[f32; 2]]| {
+            Tensor::from_slice(rows.as_flattened(), (rows.len(), 2), &Device::Cpu).unwrap()
+        };
+        let names = ["x", "y"].map(str::to_owned).to_vec();
+        let text = TextTable::from_rows(names, vec![1.0, 0.0, 0.0, 1.0], 2).unwrap();
+        let evaluator = |text| AutoencoderEvaluator::new("e", Arc::new(Nothing), text);
+        let measured =
+            |text: Option<TextTable>, before: &[Tensor], after: &[Tensor]| -> Vec<(String, f64)> {
+                let found = evaluator(text).compare(before, after).unwrap();
+                found.into_iter().map(|m| (m.name, m.value)).collect()
+            };
+        // In two parts, of one row and of three.
+        let before = [table(&[[1.0, 0.0]]), table(&[[0.8, 0.6], [0.6, 0.8], [1.0, 0.0]])];
+        let after = [table(&[[0.0, 1.0]]), table(&[[0.8, 0.6], [1.0, 0.0], [0.6, 0.8]])];
+        let found = measured(Some(text), &before, &after);
+        // Square distances 2, 0, 0.8, 0.8; products 0, 1, 0.6, 0.6; classes x x y x and y x x y. Less the mean of what
+        // was there, (0.85, 0.35), classes are x y y x and y y x y.
+        let want =
+            [("l2", 0.9), ("cosine", 0.45), ("agreement", 0.25), ("agreement_centered", 0.25)];
+        assert_eq!(found.len(), 4);
+        for ((name, got), (due, value)) in found.iter().zip(want) {
+            assert!(name == due && (got - value).abs() < 1e-6, "{found:?}");
+        }
+        // Less the mean, (0.9, 0.3), both rows of the first are nearer to another text than before.
+        let names = ["x", "y"].map(str::to_owned).to_vec();
+        let text = TextTable::from_rows(names, vec![1.0, 0.0, 0.0, 1.0], 2).unwrap();
+        let (one, other) = (table(&[[0.8, 0.6], [1.0, 0.0]]), table(&[[0.96, 0.28], [1.0, 0.0]]));
+        let found = measured(Some(text), &[one], &[other]);
+        assert_eq!((found[2].1, found[3].1), (1.0, 0.5));
+        assert_eq!(measured(None, &before, &after).len(), 2);
+        assert!(measured(None, &[table(&[[1.0, 0.0]]).narrow(0, 0, 0).unwrap()], &[]).is_empty());
+        let listed = Evaluator::<AutoencoderTask>::measurements(&evaluator(None));
+        assert_eq!(listed, ["l2", "cosine"]);
+    }
+}

@@ -196,4 +196,36 @@ mod tests {
             assert_eq!(found.failures().count(), 0, "{elsewhere}");
         }
     }
+
+    #[test]
+    fn other_weights_are_missing_and_rows_that_are_no_settings_do_not_count() {
+        let before = [
+            Record { kind: Kind::Neutral, ..record("k=1", 1.0, 0.5) },
+            Record { kind: Kind::Oracle, ..record("k=1", 1.0, 0.5) },
+            record("k=8", 2.0, 0.5),
+            record("k=25", 4.0, 0.5),
+        ];
+        let mut now = before.to_vec();
+        now[2].weights_hash = "other".to_owned();
+        now[3] = Record { seconds_p50: 4.6, f_miou: Some(0.497), ..now[3].clone() };
+        let found = compare(&now, &before);
+        assert_eq!((found.common, found.missing), (1, vec!["k=8 on rooms".to_owned()]));
+        // 1.15 times and 0.003 less are not more than that.
+        assert_eq!((found.regressions.len(), found.times.map(|t| t[0])), (0, Some(4.6 / 4.0)));
+        assert_eq!((MOST_TIME, MOST_LOSS), (1.15, 0.003));
+        now[3] = Record { seconds_p50: 6.0, f_miou: Some(0.4), ..now[3].clone() };
+        let texts = |f_miou| {
+            let mut now = now.clone();
+            now[3].f_miou = f_miou;
+            compare(&now, &before).regressions.iter().map(ToString::to_string).collect::<Vec<_>>()
+        };
+        let slower = "k=25 on rooms: 6.000 s a scene, 4.000 s before (1.50 times)";
+        assert_eq!(texts(Some(0.4)), ["k=25 on rooms: f-mIoU 40.00 %, 50.00 % before", slower]);
+        assert_eq!(texts(None), ["k=25 on rooms: no f-mIoU, 50.00 % before", slower]);
+        now[3].conditions = "d".to_owned();
+        assert_eq!(compare(&now, &before).other_conditions, ["k=25 on rooms: c"]);
+        // Without a quality before nothing can become worse.
+        let blind = [Record { f_miou: None, ..record("k=8", 2.0, 0.5) }];
+        assert_eq!(compare(&[record("k=8", 2.0, 0.1)], &blind).regressions, []);
+    }
 }

@@ -111,4 +111,34 @@ mod tests {
         let mean = widths.iter().sum::<f64>() / widths.len() as f64;
         assert!((mean - 3.92).abs() < 0.3, "{mean} {widths:?}");
     }
+
+    #[test]
+    fn bounds_are_those_of_a_thousand_seeded_draws() {
+        let scenes: Vec<ConfusionMatrix> =
+            [(1, 9), (8, 2), (5, 40), (30, 3)].map(|(r, w)| matrix(r, w)).to_vec();
+        let pooled = |picks: &[usize]| {
+            let mut sum = scenes[picks[0]].clone();
+            picks[1..].iter().for_each(|i| sum.merge(&scenes[*i]).unwrap());
+            sum.tester_report().foreground_mean_iou.unwrap()
+        };
+        let mut rng = ChaCha8Rng::seed_from_u64(0x5EED_B007);
+        let mut all: Vec<f64> =
+            (0..1000).map(|_| pooled(&[(); 4].map(|()| rng.random_range(0..4)))).collect();
+        all.sort_by(f64::total_cmp);
+        // Places 24.975 and 974.025 of 0 to 999.
+        let want = [
+            pooled(&[0, 1, 2, 3]),
+            all[24] + 0.975 * (all[25] - all[24]),
+            all[974] + 0.025 * (all[975] - all[974]),
+        ];
+        let found = f_miou_with_bounds(&scenes).unwrap().unwrap();
+        assert!((0..3).all(|i| (found[i] - want[i]).abs() < 1e-9), "{found:?} {want:?}");
+        let other = ConfusionMatrix::new(3).unwrap();
+        assert!(f_miou_with_bounds(&[scenes[0].clone(), other]).is_err());
+        let ten = [0.0, 10.0, 20.0, 40.0];
+        assert_eq!(
+            [-1.0, 0.0, 0.25, 0.9, 1.0, 7.0].map(|q| quantile(&ten, q)),
+            [0.0, 0.0, 7.5, 34.0, 40.0, 40.0]
+        );
+    }
 }

@@ -235,6 +235,8 @@ fn significant(value: f64) -> String {
 }
 
 #[cfg(test)]
+mod by_hand;
+#[cfg(test)]
 mod tests {
     use super::*;
 

@@ -138,4 +138,47 @@ mod tests {
         assert_eq!(negative_findings(&[cheap.clone(), dear(1.2)]), []);
         assert_eq!(negative_findings(&[cheap, dear(1.3)]).len(), 1);
     }
+
+    #[test]
+    fn findings_are_at_least_a_tenth_dearer_and_the_costliest_come_first() {
+        let exact = |setting: &str, seconds: f64, f_miou: f64| Point {
+            seconds_low: seconds,
+            seconds_high: seconds,
+            ..point(setting, seconds, f_miou)
+        };
+        let of = |dear: Point| negative_findings(&[exact("k=8", 10.0, 0.5), dear]).len();
+        assert_eq!((of(exact("k=25", 11.0, 0.5)), of(exact("k=25", 10.99, 0.5))), (1, 0));
+        assert_eq!((of(exact("k=25", 12.0, 0.5009)), of(exact("k=25", 12.0, 0.5011))), (1, 0));
+        // Parts that only the dearer one has are - in the cheaper one.
+        let all = [
+            exact("voxel=0.1,k=8", 1.0, 0.7),
+            exact("voxel=0.1,k=8,tta=4", 4.0, 0.69),
+            exact("voxel=0.1,k=25", 1.5, 0.7005),
+            // Both are dearer than the last by the voxel, and worth more.
+            exact("voxel=0.4,k=8", 0.2, 0.2),
+            exact("voxel=0.4,k=25", 0.9, 0.2),
+        ];
+        let found = negative_findings(&all);
+        let want = [
+            Finding {
+                part: "tta".into(),
+                cheap: "-".into(),
+                dear: "4".into(),
+                times: 4.0,
+                gained: 0.69 - 0.7,
+                otherwise: "voxel=0.1,k=8".into(),
+            },
+            Finding {
+                part: "k".into(),
+                cheap: "8".into(),
+                dear: "25".into(),
+                times: 1.5,
+                gained: 0.7005 - 0.7,
+                otherwise: "voxel=0.1".into(),
+            },
+        ];
+        assert_eq!(found, want);
+        let text = "tta=4 takes 4.00 times as long as tta=- and gains -1.00 points of f-mIoU (voxel=0.1,k=8)";
+        assert_eq!(found[0].to_string(), text);
+    }
 }

@@ -110,4 +110,27 @@ mod tests {
         assert_eq!(winner(0.5), Some(1));
         assert_eq!(winner(1.1), None);
     }
+
+    #[test]
+    fn knees_and_classes_of_equal_points_are_the_cheaper_ones() {
+        assert_eq!(CLASSES, [0.999, 0.99, 0.95]);
+        // From 1 s to 1000 s in three decades, from 0 to 0.9: 0.4 and 0.7 are 0.4/0.9 − 1/3 and 0.7/0.9 − 2/3 above.
+        assert_eq!(knee(&[[1.0, 0.0], [10.0, 0.4], [100.0, 0.7], [1000.0, 0.9]]), Some(1));
+        assert_eq!(knee(&[[1.0, 0.0], [10.0, 0.4], [100.0, 0.72], [1000.0, 0.9]]), Some(2));
+        // As far above the line as each other.
+        assert_eq!(knee(&[[1.0, 0.0], [4.0, 0.5], [16.0, 0.75], [256.0, 1.0]]), Some(1));
+        // No range of time or of worth.
+        assert_eq!(knee(&[[1.0, 0.0], [1.0, 0.5], [1.0, 1.0]]), None);
+        assert_eq!(knee(&[[1.0, 0.5], [2.0, 0.6], [3.0, 0.5]]), None);
+        let points = [[2.0, 0.5], [f64::INFINITY, 0.9], [1.0, 0.4], [1.0, 0.4]];
+        assert_eq!(
+            (cheapest_of_class(&points, 0.4, 1.0), cheapest_of_class(&points, 0.5, 1.0)),
+            (Some(2), Some(0))
+        );
+        assert_eq!(cheapest_of_class(&points, 0.9, 1.0), None);
+        assert_eq!(
+            front(&[[1.0, f64::INFINITY], [f64::NEG_INFINITY, 1.0], [2.0, 0.5]]),
+            [false, false, true]
+        );
+    }
 }

@@ -484,6 +484,8 @@ fn in_scene(scene: &SceneInput) -> impl FnOnce(ParetoError) -> ParetoError {
 }
 
 #[cfg(test)]
+mod by_hand;
+#[cfg(test)]
 mod tests {
     use super::super::record::tests::record;
     use super::*;

@@ -132,6 +132,14 @@ mod tests {
         let written = write_report(&summary, &records, &folder).unwrap();
         let page = std::fs::read_to_string(folder.join("pareto.html")).unwrap();
         assert_eq!(written.last().map(|(_, bytes)| *bytes), Some(page.len() as u64));
+        let names =
+            ["front.json", "pareto.svg", "pareto.png", "pareto.html"].map(|n| folder.join(n));
+        assert_eq!(written.iter().map(|(path, _)| path.clone()).collect::<Vec<_>>(), names);
+        for (path, bytes) in &written {
+            assert_eq!(std::fs::metadata(path).unwrap().len(), *bytes, "{}", path.display());
+        }
+        let text = std::fs::read_to_string(&names[0]).unwrap();
+        assert_eq!(serde_json::from_str::<Summary>(&text).unwrap(), summary);
         assert_eq!(page.matches("</script").count(), 2);
         assert!(page.contains("default-src 'none'") && !page.contains("unsafe-inline"));
         assert!(!page.contains("<img") && !page.contains("<script>globalThis"));
@@ -151,5 +159,80 @@ mod tests {
         let names: Vec<_> = data["views"].as_array().unwrap().iter().map(|v| &v["name"]).collect();
         assert_eq!(names, ["all", "rooms", "</script>"]);
         assert_eq!(data["views"][0]["points"][0]["stages"][0]["seconds"], 1.5);
+    }
+
+    #[test]
+    fn a_view_has_the_points_stages_and_bounds_of_its_sets() {
+        let stage =
+            |name: &str, seconds: f64, share: f64| Stage { name: name.to_owned(), seconds, share };
+        let of = |set: &str, stages: Vec<Stage>| Record {
+            scenes: set.to_owned(),
+            stages,
+            ..record("k=1", 1.0, 0.5)
+        };
+        let records = [
+            of("rooms", vec![stage("read", 1.0, 0.25), stage("network", 3.0, 0.75)]),
+            of("house", vec![stage("read", 2.0, 0.5), stage("network", 2.0, 0.5)]),
+            Record {
+                kind: Kind::Oracle,
+                setting: "oracle".to_owned(),
+                ..of("rooms", vec![stage("read", 90.0, 1.0)])
+            },
+            Record {
+                kind: Kind::Neutral,
+                neutral: Some("threads=1".to_owned()),
+                ..of("rooms", vec![stage("read", 90.0, 1.0)])
+            },
+            Record {
+                setting: "k=8".to_owned(),
+                seconds_p50: 2.0,
+                seconds_low: 2.0,
+                ..of("rooms", vec![])
+            },
+        ];
+        let both = ["rooms", "house"].map(str::to_owned);
+        let want = vec![stage("read", 1.5, 0.375), stage("network", 2.5, 0.625)];
+        assert_eq!(
+            (stages(&records, "k=1", &both), stages(&records, "k=2", &both)),
+            (want, vec![])
+        );
+        assert_eq!(stages(&records, "k=1", &both[1..]), records[1].stages);
+        let data = |records: &[Record]| -> serde_json::Value {
+            let summary = Summary::of(records, Around::default()).unwrap();
+            let page = page(&summary, records).unwrap();
+            assert!(page.contains("<title>What accuracy costs</title>"));
+            let begin = page.find("id=\"data\">").unwrap() + 10;
+            serde_json::from_str(&page[begin..begin + page[begin..].find("</script>").unwrap()])
+                .unwrap()
+        };
+        let found = data(&records);
+        let views = found["views"].as_array().unwrap();
+        let counts: Vec<usize> =
+            views.iter().map(|v| v["points"].as_array().unwrap().len()).collect();
+        assert_eq!(counts, [1, 2, 1]);
+        assert_eq!(
+            (&views[1]["name"], &views[1]["points"][0]["stages"][1]["seconds"]),
+            (&"rooms".into(), &3.0.into())
+        );
+        // The truth was scored on the rooms alone.
+        assert!(
+            views[0]["oracle"].is_null()
+                && views[2]["oracle"].is_null()
+                && views[1]["random_labels"].is_null()
+        );
+        assert_eq!(views[1]["oracle"]["setting"], "oracle");
+        assert_eq!(found["machine"], Machine::default().to_string());
+        assert_eq!(found["summary"]["scenes"], serde_json::json!(["rooms", "house"]));
+        // One set is a view of all. What costs and buys nothing is told in words.
+        let one = data(&[records[0].clone(), records[4].clone()]);
+        assert_eq!(
+            (one["views"].as_array().unwrap().len(), &one["views"][0]["name"]),
+            (1, &"all".into())
+        );
+        assert!(
+            one["findings"][0].as_str().unwrap().starts_with("k=8 takes 2.00 times"),
+            "{}",
+            one["findings"]
+        );
     }
 }

@@ -128,4 +128,62 @@ mod tests {
         assert_eq!(found.peak_bytes, 700.0);
         assert_eq!(found.bytes_written, 1000.0);
     }
+
+    #[test]
+    fn every_figure_of_a_point_is_the_mean_of_that_figure() {
+        // Figure i of the first set is i, that of the second 3 i: the mean is 2 i.
+        let of = |by: f64, hash: &str| Record {
+            seconds_p50: by,
+            seconds_p95: 2.0 * by,
+            seconds_low: 3.0 * by,
+            seconds_high: 4.0 * by,
+            bytes_written: (5.0 * by) as u64,
+            f_miou: Some(6.0 * by),
+            f_miou_low: Some(7.0 * by),
+            f_miou_high: Some(8.0 * by),
+            miou: Some(9.0 * by),
+            f_macc: Some(10.0 * by),
+            agreement: Some(11.0 * by),
+            query_hit1: Some(12.0 * by),
+            ece: Some(13.0 * by),
+            peak_bytes: (14.0 * by) as u64,
+            prediction_hash: hash.to_owned(),
+            ..record("k=1", 1.0, 0.5)
+        };
+        let found = Point::of(&[&of(1.0, "a"), &of(3.0, "b")]);
+        let want = Point {
+            setting: "k=1".to_owned(),
+            seconds_p50: 2.0,
+            seconds_p95: 4.0,
+            seconds_low: 6.0,
+            seconds_high: 8.0,
+            peak_bytes: 42.0,
+            bytes_written: 10.0,
+            f_miou: Some(12.0),
+            f_miou_low: Some(14.0),
+            f_miou_high: Some(16.0),
+            miou: Some(18.0),
+            f_macc: Some(20.0),
+            agreement: Some(22.0),
+            query_hit1: Some(24.0),
+            ece: Some(26.0),
+            prediction_hash: vec!["a".to_owned(), "b".to_owned()],
+        };
+        assert_eq!(found, want);
+        // Of each kind its own, in the order of the records, whatever stands between.
+        let row = |kind, setting: &str| Record { kind, ..record(setting, 1.0, 0.5) };
+        let all = [
+            row(Kind::Oracle, "z"),
+            row(Kind::Setting, "z"),
+            row(Kind::Neutral, "b"),
+            row(Kind::Setting, "a"),
+        ];
+        let names = |kind| -> Vec<String> {
+            points(&all, kind, &["rooms".to_owned()]).into_iter().map(|p| p.setting).collect()
+        };
+        assert_eq!(
+            (names(Kind::Setting), names(Kind::Oracle)),
+            (vec!["z".into(), "a".into()], vec!["z".to_owned()])
+        );
+    }
 }

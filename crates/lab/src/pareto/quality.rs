@@ -238,4 +238,81 @@ mod tests {
         }
         assert_eq!(sure.agrees, [1.0, 1.0]);
     }
+
+    #[test]
+    fn confidence_is_compared_with_truth_gaussian_by_gaussian() {
+        let names = ["wall", "chair"].map(str::to_owned).to_vec();
+        let text = own_directions(names).unwrap();
+        // Cosines 1 and 0: e^-20 of the second. 0.6 and 0.8: 1 / (1 + e^4) = 0.018 and 0.982.
+        let rows = [1.0, 0.0, 0.6, 0.8, 0.8, 0.6].to_vec();
+        let features = SceneFeatures::from_rows(rows, 2).unwrap();
+        let error = |labels: &[i32], truth: &[i32]| {
+            let mut calibration = ConfidenceBins::default();
+            add_scene(&mut calibration, &features, Some(&text), labels, truth).unwrap();
+            calibration.error()
+        };
+        let low = 1.0 / (1.0 + 4f64.exp());
+        // Sure and right; sure and wrong; unsure of what is right. Each in a bin of its own, but for the first.
+        for (labels, truth, want) in [
+            ([0, 1, 0], [0, 1, 0], 2.0 * low / 3.0),
+            ([0, 1, 0], [1, -1, -1], 1.0),
+            ([-1, 0, -1], [0, 1, 0], low),
+            ([-1, 1, 2], [0, 0, 0], 1.0 - low),
+            ([1, 0, -1], [1, 0, -1], (1.0 + 1.0 - low) / 2.0),
+        ] {
+            let found = error(&labels, &truth).unwrap();
+            assert!((found - want).abs() < 1e-5, "{labels:?} {truth:?}: {found} {want}");
+        }
+        assert_eq!(error(&[-1, 0, 0], &[0, -1, -1]), None);
+        // A classifier's rows are probabilities already.
+        let classes = SceneFeatures::from_rows(vec![0.75, 0.25, 0.5, 0.5], 2).unwrap();
+        let first = classes.slot_rows(0..1).unwrap();
+        let mut calibration = ConfidenceBins::default();
+        let hits = add_scene(&mut calibration, &classes, None, &[0, -1], &[0, 1]).unwrap();
+        assert_eq!(hits, Hits { hits: 2, asked: 2 });
+        assert!((calibration.error().unwrap() - f64::from(1.0 - first[0])).abs() < 1e-6);
+    }
+
+    #[test]
+    fn sureness_by_hand_in_more_rows_than_are_read_together() {
+        let text = own_directions(["wall", "chair", "lamp"].map(str::to_owned).to_vec()).unwrap();
+        // 2,050 rows, of which the last two are others: cosines 0.8, 0.6 and 0.
+        let mut rows = [1.0, 0.0, 0.0].repeat(2048);
+        rows.extend([0.8, 0.6, 0.0, 0.0, 0.6, 0.8]);
+        let features = SceneFeatures::from_rows(rows, 3).unwrap();
+        let mut labels = vec![0; 2050];
+        (labels[2047], labels[2048], labels[2049]) = (-1, 1, 2);
+        let sure = sureness(&features, &text, &labels).unwrap();
+        let near = |found: f32, want: f64| {
+            assert!((f64::from(found) - want).abs() < 1e-5, "{found} {want}")
+        };
+        // Divided by 0.05: 16, 12, 0. At twice the temperature 8, 6, 0.
+        let of = |scores: [f64; 3]| {
+            let sum: f64 = scores.iter().map(|s| s.exp()).sum();
+            scores.map(|s| s.exp() / sum)
+        };
+        let (p, soft) = (of([16.0, 12.0, 0.0]), of([8.0, 6.0, 0.0]));
+        let entropy: f64 = p.iter().map(|p| -p * p.ln()).sum();
+        for (at, label) in [(2048, 1), (2049, 0)] {
+            near(sure.of_label[at], p[label]);
+            near(sure.tempered[at], soft[label]);
+            near(sure.highest[at], p[0]);
+            near(sure.margin[at], p[0] - p[1]);
+            near(sure.order[at], 1.0 - entropy / 3f64.ln());
+        }
+        assert_eq!(
+            (sure.agrees[0], sure.agrees[2047], sure.agrees[2048], sure.agrees[2049]),
+            (1.0, 0.0, 0.0, 1.0)
+        );
+        assert_eq!((sure.of_label[2047], sure.tempered[2047]), (0.0, 0.0));
+        near(sure.of_label[2046], 1.0);
+        assert_eq!(TEMPERATURE, 0.05);
+        // The best of a query is looked for in all rows: the best lamp is a chair, of equal chairs the first counts.
+        let mut truth = vec![0; 2050];
+        (truth[5], truth[2048], truth[2049]) = (2, 1, 1);
+        let hits =
+            add_scene(&mut ConfidenceBins::default(), &features, Some(&text), &labels, &truth)
+                .unwrap();
+        assert_eq!(hits, Hits { hits: 2, asked: 3 });
+    }
 }

@@ -182,4 +182,48 @@ mod tests {
             [tried("voxel=0.1,k=25", 3.0, 0.5), tried("voxel=0.1,precision=bf16,k=1", 1.0, 0.5)];
         assert_eq!(ruled_out(&half, &all, &axes()), None);
     }
+
+    #[test]
+    fn equal_costs_and_worths_are_enough_and_the_tightest_bounds_are_named() {
+        // Below: 1 and 2 s, of which 2 s is the least that k=8 can cost. Above: 0.7 and 0.6, which it cannot exceed.
+        let mut all = vec![
+            tried("voxel=0.1,k=1", 1.0, 0.3),
+            tried("voxel=0.05,k=1", 2.0, 0.4),
+            tried("voxel=0.02,k=25", 9.0, 0.7),
+            tried("voxel=0.05,k=25", 8.0, 0.6),
+            tried("voxel=0.02,k=1", 2.0, 0.6),
+        ];
+        let wanted = candidate("voxel=0.05,k=8");
+        let want = RuledOut {
+            setting: "voxel=0.05,k=8".to_owned(),
+            by: "voxel=0.02,k=1".to_owned(),
+            no_better_than: "voxel=0.05,k=25".to_owned(),
+            no_cheaper_than: "voxel=0.05,k=1".to_owned(),
+        };
+        assert_eq!(ruled_out(&wanted, &all, &axes()), Some(want));
+        // A little dearer, or a little worse, rules nothing out.
+        all[4].cost = 2.01;
+        assert_eq!(ruled_out(&wanted, &all, &axes()), None);
+        (all[4].cost, all[4].worth) = (2.0, 0.59);
+        assert_eq!(ruled_out(&wanted, &all, &axes()), None);
+        assert_eq!(
+            wanted.parts().iter().map(|(k, v)| format!("{k}:{v}")).collect::<Vec<_>>(),
+            ["k:8", "voxel:0.05"]
+        );
+    }
+
+    #[test]
+    fn the_rest_is_in_the_order_of_the_hashes_of_its_names() {
+        use sha2::Digest;
+        let texts: Vec<String> = (2..9).map(|k| format!("voxel=0.05,k={k}")).collect();
+        let settings: Vec<Setting> = texts.iter().map(|t| t.parse().unwrap()).collect();
+        let mut want = texts[1..].to_vec();
+        want.sort_by_key(|t| sha2::Sha256::digest(t.as_bytes()).to_vec());
+        want.insert(0, texts[0].clone());
+        for axes in [axes(), Vec::new()] {
+            let names: Vec<String> = order(&settings, &axes).into_iter().map(|c| c.text).collect();
+            assert_eq!(names, want);
+        }
+        assert_eq!(order(&[], &axes()), []);
+    }
 }

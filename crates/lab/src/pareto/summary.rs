@@ -262,4 +262,104 @@ mod tests {
         assert_eq!(row(true, 1.0), (true, true));
         assert_eq!(row(false, 0.9), (false, false));
     }
+
+    #[test]
+    fn a_summary_is_of_all_sets_and_says_where_it_was_measured() {
+        let scenes = |count| vec![super::super::record::SceneRecord::default(); count];
+        let here = Machine { cpu: "cpu".to_owned(), ..Machine::default() };
+        let house = |r: Record| Record { scenes: "house".to_owned(), per_scene: scenes(3), ..r };
+        let rooms = |r: Record| Record { machine: here.clone(), per_scene: scenes(2), ..r };
+        let again = Record {
+            kind: Kind::Neutral,
+            neutral: Some("threads=1".to_owned()),
+            rule: Some("equal".to_owned()),
+            holds: None,
+            agreement: Some(0.75),
+            ..record("b", 2.0, 0.7)
+        };
+        // Means of both sets: a 4 s for 0.5, b 1 s for 0.4, c 6 s for 0.5, d 5 s for 0.3.
+        let mut all = Vec::new();
+        for (name, seconds, f_miou) in
+            [("a", 4.0, 0.5), ("b", 1.0, 0.4), ("c", 6.0, 0.5), ("d", 5.0, 0.3)]
+        {
+            all.push(rooms(record(name, seconds - 0.5, f_miou + 0.1)));
+            all.push(house(record(name, seconds + 0.5, f_miou - 0.1)));
+        }
+        all.push(record("only rooms", 0.1, 0.9));
+        all.push(again);
+        let networks = BTreeMap::from([("net".to_owned(), "folder".to_owned())]);
+        let around = Around {
+            reference: "c".to_owned(),
+            skipped: vec![RuledOut {
+                setting: "e".into(),
+                by: "a".into(),
+                no_better_than: "c".into(),
+                no_cheaper_than: "b".into(),
+            }],
+            unmeasured: vec!["f".to_owned()],
+            networks: networks.clone(),
+            training: Vec::new(),
+        };
+        let found = Summary::of(&all, around.clone()).unwrap();
+        let names = |points: &[Point]| {
+            points.iter().map(|p| p.setting.clone()).collect::<Vec<_>>().join(" ")
+        };
+        assert_eq!(
+            (names(&found.points), names(&found.dominated)),
+            ("b a".to_owned(), "d c".to_owned())
+        );
+        assert_eq!(found.all().map(|p| p.setting.as_str()).collect::<String>(), "badc");
+        assert_eq!((found.scenes.join(" "), found.num_scenes), ("rooms house".to_owned(), 5));
+        assert_eq!((found.machine, found.fingerprint.as_str()), (here, "m"));
+        assert_eq!(
+            (found.version.as_str(), found.quality.as_str()),
+            (env!("CARGO_PKG_VERSION"), "f_miou")
+        );
+        assert_eq!((found.reference.as_str(), &found.networks), ("c", &networks));
+        assert_eq!(
+            (found.skipped, found.unmeasured),
+            (around.skipped.clone(), vec!["f".to_owned()])
+        );
+        assert_eq!((found.oracle, found.random_labels, found.knee), (None, None, None));
+        let winner = &found.classes[2];
+        assert_eq!(
+            (winner.share, winner.setting.as_deref(), winner.seconds_p50),
+            (0.95, Some("a"), Some(4.0))
+        );
+        assert!((winner.quality.unwrap() - 0.5).abs() < 1e-12 && found.classes[0].share == 0.999);
+        let row = NeutralRow {
+            neutral: "threads=1".into(),
+            setting: "b".into(),
+            scenes: "rooms".into(),
+            rule: "equal".into(),
+            holds: false,
+            equal: false,
+            agreement: Some(0.75),
+            seconds_p50: 2.0,
+            peak_bytes: 100_000_000,
+        };
+        assert_eq!(found.neutral, [row]);
+        // Without the reference nobody wins a class. With curves alone there is a summary of this machine.
+        let nobody = Summary::of(&all, Around { reference: "z".to_owned(), ..around }).unwrap();
+        assert!(
+            nobody
+                .classes
+                .iter()
+                .all(|c| c.setting.is_none() && c.seconds_p50.is_none() && c.quality.is_none())
+        );
+        let curve = TrainingCurve {
+            name: "run".into(),
+            metric: "m".into(),
+            points: vec![],
+            best: 0.5,
+            seconds_to_99: 1.0,
+        };
+        let alone = Summary::of(&[], Around { training: vec![curve.clone()], ..Around::default() })
+            .unwrap();
+        assert_eq!(
+            (alone.training, alone.fingerprint),
+            (vec![curve], Machine::detect().fingerprint())
+        );
+        assert!(alone.points.is_empty() && alone.version == alone.machine.version);
+    }
 }

@@ -111,4 +111,58 @@ mod tests {
         let error = TrainingCurve::read(Path::new("no/such/run")).unwrap_err().to_string();
         assert!(error.contains("metrics.jsonl"), "{error}");
     }
+
+    #[test]
+    fn times_lie_between_logged_steps_and_qualities_have_an_order() {
+        let time = "train/seconds_per_step";
+        let of = |more: &[LoggedValue]| {
+            // 10 steps of 2 s, a step that goes back, one without a number, 10 of 4 s: 20 s at step 10, 60 s at 20.
+            let mut log = vec![
+                value(10, time, 2.0),
+                value(5, time, 9.0),
+                value(15, time, f64::NAN),
+                value(20, time, 4.0),
+            ];
+            log.extend_from_slice(more);
+            TrainingCurve::of("run", &log)
+        };
+        let curve = of(&[
+            value(1, "a/allAcc", 0.9),
+            value(2, "a/mIoU", 0.8),
+            value(0, "b/f-mIoU", 0.1),
+            value(5, "b/f-mIoU", 0.2),
+            value(7, "b/f-mIoU", f64::NAN),
+            value(15, "b/f-mIoU", 0.4),
+            value(20, "c/f-mIoU", 0.7),
+            value(25, "b/f-mIoU", 0.3),
+        ])
+        .unwrap();
+        // The first f-mIoU there is, at 0, 10, 40 and, beyond the last step, 80 s.
+        let want = vec![[0.0, 0.1], [10.0, 0.2], [40.0, 0.4], [80.0, 0.3]];
+        assert_eq!(
+            (curve.name.as_str(), curve.metric.as_str(), curve.points),
+            ("run", "b/f-mIoU", want)
+        );
+        assert_eq!((curve.best, curve.seconds_to_99), (0.4, 40.0));
+        let metric = |more: &[LoggedValue]| of(more).unwrap().metric;
+        assert_eq!(metric(&[value(1, "a/allAcc", 0.9), value(2, "a/mIoU", 0.8)]), "a/mIoU");
+        assert_eq!(
+            metric(&[value(1, "oracle/f-mIoU", 1.0), value(2, "a/allAcc", 0.8)]),
+            "a/allAcc"
+        );
+        // 0.99 of the best is enough, less is not.
+        let until = |early: f64| {
+            of(&[value(5, "a/mIoU", early), value(20, "a/mIoU", 0.5)]).unwrap().seconds_to_99
+        };
+        assert_eq!((until(0.496), until(0.494)), (10.0, 60.0));
+        assert_eq!(of(&[value(1, "a/mIoU", f64::NAN)]).unwrap_err(), "no evaluation is finite");
+        let folder = tempfile::tempdir().unwrap();
+        let lines = [value(10, time, 2.0), value(5, "a/mIoU", 0.5)]
+            .map(|v| serde_json::to_string(&v).unwrap());
+        let run = folder.path().join("my_run");
+        std::fs::create_dir(&run).unwrap();
+        std::fs::write(run.join("metrics.jsonl"), lines.join("\n") + "\n").unwrap();
+        let read = TrainingCurve::read(&run).unwrap();
+        assert_eq!((read.name.as_str(), read.points), ("my_run", vec![[10.0, 0.5]]));
+    }
 }

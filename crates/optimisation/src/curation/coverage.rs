@@ -124,4 +124,59 @@ mod tests {
         let found = coverage(&[-0.35, -0.15, 0.0, 0.15, 0.35].map(turned)).unwrap();
         assert_eq!(found, Coverage { voxels: 1, well_seen: 1.0, holes: 0.0 });
     }
+
+    #[test]
+    fn views_and_angles_are_those_of_every_eighth_pixel() {
+        // Turned cameras about walls at several depths; one depth of a pixel that counts is unknown, one too near.
+        let made = |i: usize| {
+            let (sin, cos) = ([-0.33f32, -0.2, 0.03, 0.12, -0.02, 0.3][i]).sin_cos();
+            let axes = [[cos, 0.0, sin], [0.0, 1.0, 0.0], [-sin, 0.0, cos]];
+            let mut v = view(44, 28);
+            // 0.7 before a place that is not the same for all.
+            let eye = [0, 1, 2].map(|k| [0.1 * (i / 4) as f32, 0.02, 1.02][k] - 0.7 * axes[2][k]);
+            v.world_to_camera =
+                axes.map(|a| [a[0], a[1], a[2], -(a[0] * eye[0] + a[1] * eye[1] + a[2] * eye[2])]);
+            (v.fx, v.fy, v.cx, v.cy) = (150.0, 110.0, 20.25, 15.5);
+            let mut frame = tests::frame(v, Some(0.7 + 0.01 * (i % 2) as f32));
+            let depth = frame.depth.as_mut().unwrap();
+            depth[4 * 44 + 12 + 8 * (i % 3)] = [f32::NAN, 0.01][i % 2];
+            frame
+        };
+        let frames: Vec<_> = (0..6).map(made).chain([frame(0.0, None)]).collect();
+        // For each voxel the first ray of each frame that sees it.
+        let mut rays: BTreeMap<[i64; 3], Vec<(usize, [f64; 3])>> = BTreeMap::new();
+        for (number, f) in frames.iter().enumerate().filter(|(_, f)| f.depth.is_some()) {
+            let m = f.view.world_to_camera.map(|r| r.map(f64::from));
+            for i in (0..44 * 28).filter(|i| i % 44 % 8 == 4 && i / 44 % 8 == 4) {
+                let z = f64::from(f.depth.as_ref().unwrap()[i]);
+                if z.is_nan() || z <= f64::from(0.01f32) {
+                    continue;
+                }
+                let x = ((i % 44) as f64 + 0.5 - 20.25) / 150.0 * z;
+                let y = ((i / 44) as f64 + 0.5 - 15.5) / 110.0 * z;
+                let turn = |p: [f64; 3]| {
+                    [0, 1, 2].map(|k| m[0][k] * p[0] + m[1][k] * p[1] + m[2][k] * p[2])
+                };
+                let at = turn([x - m[0][3], y - m[1][3], z - m[2][3]]);
+                let of = rays.entry(at.map(|v| (v / 0.05).floor() as i64)).or_default();
+                if of.iter().all(|(other, _)| *other != number) {
+                    of.push((number, turn([x, y, z])));
+                }
+            }
+        }
+        let angle =
+            |a: [f64; 3], b: [f64; 3]| DVec3::from(a).angle_between(DVec3::from(b)).to_degrees();
+        let n = rays.len() as f64;
+        let well = rays
+            .values()
+            .filter(|r| r.len() >= 3 && r.iter().any(|(_, b)| angle(r[0].1, *b) >= 15.0));
+        let few = rays.values().filter(|r| r.len() < 3).count() as f64;
+        let want =
+            Coverage { voxels: rays.len(), well_seen: well.count() as f64 / n, holes: few / n };
+        assert_eq!(coverage(&frames).unwrap(), want);
+        assert!(
+            want.well_seen > 0.05 && want.well_seen < 1.0 - want.holes && want.holes > 0.05,
+            "{want:?}"
+        );
+    }
 }

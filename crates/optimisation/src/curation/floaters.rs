@@ -123,4 +123,47 @@ mod tests {
         // One away: 0.93 is nearer by more than 5 % but less than 0.1.
         assert_eq!(floating(-1.07, 1.0), 0);
     }
+
+    #[test]
+    fn each_pixel_is_compared_with_its_own_depth_and_mass_is_over_frames() {
+        let row = |mean: [f32; 3], logit: f32| Stored {
+            mean,
+            log_scale: [-2.5; 3],
+            quat: [1.0, 0.0, 0.0, 0.0],
+            logit,
+        };
+        // One that floats in two of three frames, one that does so in one, one out of the picture.
+        let rows =
+            [row([0.3, -0.2, 0.0], 1.0), row([-0.4, 0.3, 0.5], 0.0), row([1.02, 0.0, 0.0], 2.0)];
+        let model = Model::from_arrays(&rows, vec![0.0; 9], 0).unwrap();
+        let measured = |at: &[(usize, usize)]| {
+            let mut frame = frame(view(64, 48), Some(0.0));
+            let depth = frame.depth.as_mut().unwrap();
+            at.iter().for_each(|(x, y)| depth[64 * y + x] = 5.0);
+            frame
+        };
+        // Pixels: 64 · 0.3 / 2 + 32 = 41.6, 24 − 6.4 = 17.6; 32 − 64 · 0.4 / 2.5 = 21.8, 24 + 7.7 = 31.7.
+        let frames = [
+            measured(&[(41, 17)]),
+            measured(&[(41, 17), (21, 31)]),
+            measured(&[(17, 41), (42, 17), (41, 18)]),
+        ];
+        let raster = RasterSettings::default();
+        let found = floaters(&model, &frames, &raster).unwrap().unwrap();
+        let request = RenderRequest { contributions: true, ..RenderRequest::default() };
+        let sums = render(model.gaussians(), &frames[0].view, &raster, &request)
+            .unwrap()
+            .contributions
+            .unwrap()
+            .sum;
+        assert!(sums[2] > 0.0, "its border is in the picture");
+        let share = f64::from(sums[0]) / sums.iter().map(|s| f64::from(*s)).sum::<f64>();
+        assert_eq!((found.count, found.frames), (1, 3));
+        assert!((found.mass - share).abs() < 1e-9, "{found:?} {share}");
+        // In one frame once is enough; a model that shows nothing has no mass.
+        assert_eq!(floaters(&model, &frames[1..2], &raster).unwrap().unwrap().count, 2);
+        let behind = Model::from_arrays(&[row([0.0, 0.0, -5.0], 1.0)], vec![0.0; 3], 0).unwrap();
+        let none = Floaters { count: 0, mass: 0.0, frames: 3 };
+        assert_eq!(floaters(&behind, &frames, &raster).unwrap().unwrap(), none);
+    }
 }

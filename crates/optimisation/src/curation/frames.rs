@@ -156,4 +156,72 @@ mod tests {
         let report = judge_frames(&[frame], &FrameFilter::default()).unwrap();
         assert!((report.saturated - 0.5).abs() < 1e-9, "{}", report.saturated);
     }
+
+    #[test]
+    fn every_verdict_is_counted_and_written() {
+        let (width, height) = (16usize, 12usize);
+        // Stripes of that contrast: the wider they are apart in value, the sharper.
+        let striped = |i: usize, contrast: u8| {
+            let mut frame = frame(view(16, 12), None);
+            frame.name = format!("f{i}");
+            frame.view.world_to_camera[0][3] = i as f32;
+            let value = |p: usize| [100 + contrast, 100 - contrast][p % width % 2];
+            frame.rgb = Colors::Bytes((0..width * height).flat_map(|p| [value(p); 3]).collect());
+            frame
+        };
+        let mut frames: Vec<_> = (0..12).map(|i| striped(i, 40)).collect();
+        // The weakest goes; a second is kept, for 1 of 9 usable frames may go.
+        (frames[3], frames[7]) = (striped(3, 10), striped(7, 20));
+        (frames[5], frames[9].view.world_to_camera[0][0]) = (frames[4].clone(), f32::NAN);
+        frames[5].name = "f5".to_owned();
+        let filter = FrameFilter { max_dropped: 0.15, ..FrameFilter::default() };
+        let report = judge_frames(&frames, &filter).unwrap();
+        let counts = [
+            report.kept,
+            report.blurred,
+            report.kept_for_coverage,
+            report.bad_poses,
+            report.duplicates,
+        ];
+        assert_eq!((counts, report.black), ([9, 1, 1, 1, 1], 0));
+        let verdicts: Vec<(&str, bool, &str)> =
+            report.frames.iter().map(|f| (f.name.as_str(), f.kept, f.verdict.as_str())).collect();
+        assert_eq!(verdicts[0], ("f0", true, "kept"));
+        // Laplacians are ± 4 · contrast.. squares of 10 and 20 over 40.
+        assert_eq!(verdicts[3], ("f3", false, "blurred (6 % of the sharpness around it)"));
+        assert_eq!(verdicts[5], ("f5", false, "same as frame 4"));
+        assert_eq!(
+            verdicts[7],
+            ("f7", true, "kept for coverage (25 % of the sharpness around it)")
+        );
+        assert_eq!(verdicts[9], ("f9", false, "bad pose"));
+        // Between pixels of +40 and −40: ± 160, half of each; in the mirrored picture too.
+        assert_eq!((report.frames[0].sharpness, report.frames[3].sharpness), (25_600.0, 1600.0));
+        // Means are 100, whatever the contrast.
+        assert!(report.exposure_spread.abs() < 1e-12 && report.saturated == 0.0);
+    }
+
+    #[test]
+    fn a_look_is_at_bytes_of_at_most_640_columns() {
+        let mut wide = frame(view(1280, 2), None);
+        // Pairs of equal columns: at 640 columns every other one is bright.
+        let value = |p: usize| [200u8, 100][p % 1280 / 2 % 2];
+        wide.rgb = Colors::Bytes((0..2560).flat_map(|p| [value(p); 3]).collect());
+        let look = Look::at(&wide).unwrap();
+        assert_eq!((look.sharpness, look.mean), (40_000.0, 150.0));
+        // Floats are rounded to bytes, cut to 0 to 1: the same picture has the same hash.
+        let (mut bytes, mut floats) = (frame(view(2, 1), None), frame(view(2, 1), None));
+        bytes.rgb = Colors::Bytes(vec![0, 255, 128, 1, 2, 250]);
+        floats.rgb = Colors::Floats(vec![-1.0, 2.0, 0.5, 0.0041, 0.0078, 0.98]);
+        let (a, b) = (Look::at(&bytes).unwrap(), Look::at(&floats).unwrap());
+        assert_eq!((a.hash, a.mean, a.saturated), (b.hash, b.mean, 1.0));
+        // FNV-1a of a byte: (basis ^ b) · prime.
+        bytes.rgb = Colors::Bytes(vec![0, 0, 0, 0, 0, 1]);
+        let want = [0u64, 0, 0, 0, 0, 1]
+            .iter()
+            .fold(14_695_981_039_346_656_037u64, |h, b| (h ^ b).wrapping_mul(1_099_511_628_211));
+        let look = Look::at(&bytes).unwrap();
+        assert_eq!((look.hash, look.mean, look.saturated), (want, 1.0 / 6.0, 0.0));
+        assert_eq!(judge_frames(&[], &FrameFilter::default()).unwrap(), FrameReport::default());
+    }
 }

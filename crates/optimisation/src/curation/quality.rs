@@ -189,4 +189,135 @@ mod tests {
         quality.decide(&Gates::default());
         assert!(quality.keep && quality.reasons.is_empty(), "{:?}", quality.reasons);
     }
+
+    #[test]
+    fn each_gate_is_passed_at_its_limit_and_says_what_is_beyond() {
+        let gates = Gates::default();
+        let limits = [gates.psnr, gates.depth_l1, gates.floaters, gates.holes, gates.uncovered];
+        assert_eq!(
+            (gates.frames, gates.gaussians, limits),
+            (400, 50_000, [25.0, 0.08, 0.001, 0.05, 0.3])
+        );
+        let limit = SceneQuality {
+            frames: Some(400),
+            psnr: Some(25.0),
+            gaussians: Some(50_000),
+            depth_l1: Some(0.08),
+            floater_mass: Some(0.001),
+            holes: Some(0.05),
+            uncovered: Some(0.3),
+            not_finite: Some(0),
+            ..SceneQuality::default()
+        };
+        let mut passed = limit.clone();
+        passed.decide(&gates);
+        assert!(passed.keep && passed.reasons.is_empty() && passed.notes.is_empty());
+        type Case<'a> = (&'a dyn Fn(&mut SceneQuality), &'a str, f64, f64, &'a str);
+        let cases: [Case<'_>; 8] = [
+            (&|q| q.frames = Some(399), "frames", 399.0, 400.0, "399.0000 frames, at least 400"),
+            (&|q| q.psnr = Some(24.5), "psnr", 24.5, 25.0, "24.5000 dB PSNR, at least 25"),
+            (
+                &|q| q.gaussians = Some(7),
+                "gaussians",
+                7.0,
+                50_000.0,
+                "7.0000 Gaussians, at least 50000",
+            ),
+            (
+                &|q| q.depth_l1 = Some(0.5),
+                "depth_l1",
+                0.5,
+                0.08,
+                "0.5000 mean error of depth, at most 0.08",
+            ),
+            (
+                &|q| q.floater_mass = Some(0.25),
+                "floater_mass",
+                0.25,
+                0.001,
+                "0.2500 of the weight floats, at most 0.001",
+            ),
+            (
+                &|q| q.holes = Some(0.0625),
+                "holes",
+                0.0625,
+                0.05,
+                "0.0625 of the pixels show a hole, at most 0.05",
+            ),
+            (
+                &|q| q.uncovered = Some(0.5),
+                "uncovered",
+                0.5,
+                0.3,
+                "0.5000 of the surface is seen by fewer than 3 views, at most 0.3",
+            ),
+            (
+                &|q| q.not_finite = Some(1),
+                "not_finite",
+                1.0,
+                0.0,
+                "1.0000 Gaussians are not finite, at most 0",
+            ),
+        ];
+        for (change, gate, value, limit_of, text) in cases {
+            let mut quality = limit.clone();
+            change(&mut quality);
+            quality.decide(&gates);
+            let want =
+                Reason { gate: gate.to_owned(), value, limit: limit_of, text: text.to_owned() };
+            assert_eq!(
+                (quality.keep, quality.reasons, quality.notes.len()),
+                (false, vec![want], 0)
+            );
+        }
+        let mut unknown = SceneQuality::default();
+        unknown.decide(&gates);
+        let order = [
+            "frames",
+            "psnr",
+            "gaussians",
+            "depth_l1",
+            "floater_mass",
+            "holes",
+            "uncovered",
+            "not_finite",
+        ];
+        assert_eq!(unknown.notes, order.map(|gate| format!("{gate} was not measured")));
+        assert!(unknown.keep);
+    }
+
+    #[test]
+    fn figures_are_taken_over_each_to_its_own() {
+        let mut quality = SceneQuality::default();
+        let score = MeanScore {
+            frames: 7,
+            psnr: Some(1.0),
+            psnr_masked: Some(2.0),
+            psnr_corrected: Some(3.0),
+            ssim: Some(4.0),
+            ssim_masked: Some(5.0),
+            depth_l1: Some(6.0),
+            depth_l1_expected: Some(7.0),
+            holes: 0.5,
+        };
+        quality.set_score(&score);
+        quality.set_floaters(Some(Floaters { count: 3, mass: 0.25, frames: 9 }));
+        quality.set_coverage(Some(Coverage { voxels: 8, well_seen: 0.75, holes: 0.125 }));
+        let want = SceneQuality {
+            scored: 7,
+            psnr: Some(1.0),
+            ssim: Some(4.0),
+            depth_l1: Some(6.0),
+            holes: Some(0.5),
+            floaters: Some(3),
+            floater_mass: Some(0.25),
+            uncovered: Some(0.125),
+            well_seen: Some(0.75),
+            ..SceneQuality::default()
+        };
+        assert_eq!(quality, want);
+        quality.set_floaters(None);
+        quality.set_coverage(None);
+        assert_eq!([quality.floater_mass, quality.uncovered, quality.well_seen], [None; 3]);
+    }
 }

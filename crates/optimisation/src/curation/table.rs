@@ -83,4 +83,56 @@ mod tests {
         assert!(text.contains("| **mean of those kept** | - | - | 31.00 |"), "{text}");
         assert!(text.ends_with("2 of 3 |\n"));
     }
+
+    #[test]
+    fn every_figure_stands_below_its_name_with_its_digits() {
+        let whole = SceneQuality {
+            name: "a".to_owned(),
+            frames: Some(596),
+            gaussians: Some(1_420_000),
+            psnr: Some(29.644),
+            ssim: Some(0.8974),
+            lpips: Some(0.2125),
+            depth_l1: Some(0.03504),
+            bytes: Some(12_340_000),
+            miou: Some(0.5),
+            keep: true,
+            ..SceneQuality::default()
+        };
+        let reason = |gate: &str| super::super::Reason {
+            gate: gate.to_owned(),
+            value: 0.0,
+            limit: 0.0,
+            text: String::new(),
+        };
+        let bad = SceneQuality {
+            name: "b".to_owned(),
+            psnr: Some(f64::NAN),
+            frames: Some(4),
+            reasons: vec![reason("psnr"), reason("holes")],
+            ..SceneQuality::default()
+        };
+        let half = SceneQuality {
+            frames: Some(404),
+            psnr: Some(f64::INFINITY),
+            bytes: None,
+            ..whole.clone()
+        };
+        let (_, text) = markdown(&[whole, bad, half]);
+        let lines: Vec<&str> = text.lines().collect();
+        let want = [
+            "| scene | frames | Gaussians | PSNR, dB | SSIM | LPIPS | depth L1 | storage, MB | mIoU | kept |",
+            "|---|---|---|---|---|---|---|---|---|---|",
+            "| a | 596 | 1420000 | 29.64 | 0.897 | 0.212 | 0.0350 | 12.3 | 0.500 | yes |",
+            "| b | 4 | - | - | - | - | - | - | - | no: psnr, holes |",
+            "| a | 404 | 1420000 | - | 0.897 | 0.212 | 0.0350 | - | 0.500 | yes |",
+            "| **mean of those kept** | 500 | 1420000 | 29.64 | 0.897 | 0.212 | 0.0350 | 12.3 | 0.500 | 2 of 3 |",
+        ];
+        assert_eq!(lines, want);
+        let (table, none) = markdown(&[]);
+        assert_eq!(table, QualityTable::default());
+        assert!(
+            none.ends_with("| **mean of those kept** | - | - | - | - | - | - | - | - | 0 of 0 |\n")
+        );
+    }
 }

@@ -216,6 +216,9 @@ fn half_of(row: &Stored, scale: [f32; 3], xi: [f32; 3]) -> Stored {
 }
 
 #[cfg(test)]
+mod by_hand;
+
+#[cfg(test)]
 mod tests {
     use super::*;
     use crate::AdamSettings;

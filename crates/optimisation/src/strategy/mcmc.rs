@@ -233,4 +233,94 @@ mod tests {
         assert_eq!(model.gaussians.scales[0], model.gaussians.scales[1]);
         assert_eq!(model.row(0), model.row(1));
     }
+
+    #[test]
+    fn the_defaults_are_those_of_gsplat_and_ranges_are_checked() {
+        let good = McmcSettings::default();
+        let want = McmcSettings {
+            cap: 1_000_000,
+            noise: 5e5,
+            refine_start: 500,
+            refine_stop: 25_000,
+            refine_every: 100,
+            min_opacity: 0.005,
+            relocation: Relocation::Gsplat15,
+            few: 0,
+        };
+        assert_eq!(good, want);
+        good.check().unwrap();
+        McmcSettings { cap: 1, noise: 0.0, refine_every: 1, ..good }.check().unwrap();
+        let cases = [
+            (McmcSettings { cap: 0, ..good }, "cap is 0"),
+            (McmcSettings { cap: u32::MAX as usize, ..good }, "cap is 4294967295"),
+            (McmcSettings { noise: -1.0, ..good }, "noise is -1"),
+            (McmcSettings { noise: f64::INFINITY, ..good }, "noise is inf"),
+            (McmcSettings { refine_every: 0, ..good }, "refine_every is 0"),
+            (McmcSettings { min_opacity: 0.0, ..good }, "min_opacity is 0"),
+            (McmcSettings { min_opacity: 1.0, ..good }, "min_opacity is 1"),
+        ];
+        for (settings, want) in cases {
+            let error = settings.check().unwrap_err().to_string();
+            assert!(error.starts_with(want), "{error}");
+        }
+        // 1.05 · 39 = 40.95 and 1.05 · 40 = 42; below `few` twice as many.
+        let quick = McmcSettings { few: 39, ..good };
+        assert_eq!([38, 39, 40].map(|n| quick.grown(n)), [76, 40, 42]);
+    }
+
+    #[test]
+    fn the_dead_go_to_drawn_sources_in_order_and_then_more_are_added() {
+        // Rows 1, 3 and 6 are dead: below the limit, at it, and of no finite center.
+        let (mut given, mut adam) = model(&[0.5, -7.0, 1.5, 0.0, -0.5, 2.0, 1.0]);
+        given.set_shape(3, 0.005, [0.3; 3]);
+        given.gaussians.means[6][1] = f32::INFINITY;
+        let least = given.gaussians.opacities[3];
+        let settings =
+            McmcSettings { cap: 9, few: 100, min_opacity: least, ..McmcSettings::default() };
+        for (k, moments) in
+            [&mut adam.means, &mut adam.opacities, &mut adam.sh].into_iter().enumerate()
+        {
+            moments.first.fill(1.0 + k as f32);
+            moments.second.fill(2.0 + k as f32);
+        }
+        let (mut slow, mut left) = (given.clone(), adam.clone());
+        let done = settings.refine(&mut given, &mut adam, 8, NOW);
+        assert_eq!((done.relocated, done.not_finite, done.added, done.removed), (3, 1, 2, 0));
+        // By hand: first the three dead, then two copies of any.
+        let mut weights = slow.gaussians.opacities.clone();
+        [1, 3, 6].into_iter().for_each(|dead: usize| weights[dead] = 0.0);
+        let split = |model: &mut Model, row: usize, copies: u32| {
+            let (o, s) = (model.gaussians.opacities[row], model.gaussians.scales[row]);
+            let (o, s) = relocated(o, s, copies, Relocation::Gsplat15);
+            model.set_shape(row, o, s);
+        };
+        let count = |drawn: &[u32], row: u32| drawn.iter().filter(|r| **r == row).count() as u32;
+        let drawn = draw(&weights, 3, &Counter::new(8, Purpose::Relocate, NOW));
+        for source in 0..7 {
+            if count(&drawn, source) > 0 {
+                split(&mut slow, source as usize, count(&drawn, source) + 1);
+                left.zero_row(source as usize);
+            }
+        }
+        for (dead, source) in [1, 3, 6].into_iter().zip(&drawn) {
+            slow.copy_row(*source as usize, dead);
+        }
+        left.zero_row(6);
+        let drawn = draw(&slow.gaussians.opacities, 2, &Counter::new(8, Purpose::Add, NOW));
+        for source in 0..7 {
+            if count(&drawn, source) > 0 {
+                split(&mut slow, source as usize, count(&drawn, source) + 1);
+                (0..count(&drawn, source)).for_each(|_| slow.push_copy(source as usize));
+            }
+        }
+        left.grow(2);
+        assert_eq!((&given, &adam), (&slow, &left));
+        assert_eq!((adam.means.second.len(), adam.quats.first.len()), (27, 36));
+        // Noise has the rate times the strength; none without it.
+        McmcSettings { noise: 2e5, ..settings }.shake(&mut given, 1e-3, 8, NOW);
+        add_noise(&mut slow, 200.0, 8, NOW);
+        assert_eq!(given, slow);
+        McmcSettings { noise: 0.0, ..settings }.shake(&mut given, 1e-3, 8, NOW);
+        assert_eq!(given, slow);
+    }
 }

@@ -183,3 +183,89 @@ fn depth_goldens() {
     assert!((loss - number(&golden, "/depth/sparse_disparity_l1")).abs() < VALUE);
     compare("sparse depth", &slope, &golden.f64s("grad_depth_sparse"), 1e-5);
 }
+
+/// With a mask both pictures are black where it is off; against the f64 implementation, in bands of several rows, with
+/// memory that another comparison has left.
+#[test]
+fn masked_pictures_against_f64() {
+    let (width, height) = (17, 150);
+    let [pred, truth] = pictures(width, height);
+    let mask: Vec<u8> = (0..width * height).map(|i| 2 * u8::from(i % 7 > 1)).collect();
+    let black = |of: &[f32]| -> Vec<f32> {
+        (0..of.len()).map(|k| if mask[k / 3] == 0 { 0.0 } else { of[k] }).collect()
+    };
+    for padding in SsimPadding::ALL {
+        let weights = ImageWeights { ssim: 0.3, padding };
+        let mut comparison = ImageComparison::new(width, height, weights).unwrap();
+        assert_eq!(comparison.size(), [17, 150]);
+        let mut gradient = vec![5.0; pred.len()];
+        for masked in [false, true, false] {
+            let (a, b) =
+                if masked { (black(&pred), black(&truth)) } else { (pred.clone(), truth.clone()) };
+            let view = |v| ImageView::new(v, width, height, 3).unwrap();
+            let (ssim, slope) = ssim_with_gradient(view(&a), view(&b), padding).unwrap();
+            let on = if masked { Some(&mask[..]) } else { None };
+            let loss = comparison.compare(&pred, &truth, on, &mut gradient).unwrap();
+            let counts = |k: usize| !masked || mask[k / 3] != 0;
+            let errors: Vec<f64> = (0..pred.len())
+                .filter(|k| counts(*k))
+                .map(|k| f64::from(pred[k]) - f64::from(truth[k]))
+                .collect();
+            let n = errors.len() as f64;
+            let l1 = errors.iter().map(|e| e.abs()).sum::<f64>() / n;
+            let mse = errors.iter().map(|e| e * e).sum::<f64>() / n;
+            assert!((loss.l1 - l1).abs() < 1e-6 && (loss.mse - mse).abs() < 1e-6, "{loss:?}");
+            assert!((loss.ssim - ssim).abs() < 2e-5, "{padding} {masked}: {loss:?} {ssim}");
+            assert!((loss.loss - (0.7 * l1 + 0.3 * (1.0 - ssim))).abs() < 1e-5);
+            let want: Vec<f64> = (0..pred.len())
+                .map(|k| {
+                    let d = pred[k] - truth[k];
+                    let sign = if d == 0.0 { 0.0 } else { f64::from(d.signum()) };
+                    if counts(k) { 0.7 * sign / n - 0.3 * f64::from(slope[k]) } else { 0.0 }
+                })
+                .collect();
+            compare(&format!("{padding}, masked {masked}"), &gradient, &want, 1e-3);
+        }
+    }
+}
+
+#[test]
+fn arrays_of_another_length_and_weights_out_of_range_are_named() {
+    let weights = ImageWeights { ssim: 1.0, padding: SsimPadding::Reflect };
+    let mut comparison = ImageComparison::new(7, 6, weights).unwrap();
+    let (mut whole, mut short) = (vec![0.0; 126], vec![0.0; 125]);
+    let some = vec![0.5; 126];
+    let mut failed = |pred: &[f32], truth: &[f32], mask: &[u8], slope: &mut [f32]| {
+        comparison.compare(pred, truth, Some(mask), slope).unwrap_err().to_string()
+    };
+    assert_eq!(
+        failed(&some[1..], &some, &[1; 42], &mut whole),
+        "rendered picture: expected 126 values, got 125"
+    );
+    assert_eq!(
+        failed(&some, &some[2..], &[1; 42], &mut whole),
+        "picture of the frame: expected 126 values, got 124"
+    );
+    assert_eq!(
+        failed(&some, &some, &[1; 42], &mut short),
+        "gradient of the picture: expected 126 values, got 125"
+    );
+    assert_eq!(failed(&some, &some, &[1; 41], &mut whole), "mask: expected 42 values, got 41");
+    let refused = |width, height, weights| {
+        ImageComparison::new(width, height, weights).unwrap_err().to_string()
+    };
+    for ssim in [-0.1, 1.1] {
+        let error = refused(7, 6, ImageWeights { ssim, ..weights });
+        assert_eq!(
+            error,
+            format!("weight of SSIM is {}; it has to be from 0 to 1", f64::from(ssim))
+        );
+    }
+    assert!(ImageComparison::new(6, 6, ImageWeights { ssim: 0.0, ..weights }).is_ok());
+    let error = refused(9, 5, weights);
+    assert!(
+        error.contains("9 × 5 pixels is smaller than 6 on a side")
+            && error.contains("border reflect"),
+        "{error}"
+    );
+}

@@ -5,6 +5,7 @@ mod adam;
 mod losses;
 mod objects;
 mod pieces;
+mod settings;
 mod support;
 mod training;
 mod transparent;

@@ -85,4 +85,24 @@ mod tests {
         );
         assert_eq!(points(5, 8, 4, &settings), [[4.0, 2.0]]);
     }
+
+    #[test]
+    fn the_overlap_of_a_layer_is_halved_with_its_sides() {
+        let settings = MaskSettings { crop_layers: 2, crop_overlap: 0.3, ..Default::default() };
+        // Of the shorter side 100 the first layer takes int(0.3 · 100) = 30, the second int(0.3 · 100 / 2) = 15.
+        let found = crops(240, 100, &settings);
+        let layer = |layer| found.iter().filter(move |c| c.layer == layer).map(|c| c.bounds);
+        // ⌈(30 + 240)/2⌉ = 135 by ⌈(30 + 100)/2⌉ = 65, in steps of 105 and 35.
+        let first: Vec<_> = layer(1).collect();
+        assert_eq!(
+            first,
+            [[0, 0, 135, 65], [0, 35, 135, 100], [105, 0, 240, 65], [105, 35, 240, 100]]
+        );
+        // ⌈(45 + 240)/4⌉ = 72 by ⌈(45 + 100)/4⌉ = 37, in steps of 57 and 22; cut at the right and the bottom.
+        let second: Vec<_> = layer(2).collect();
+        assert_eq!((second.len(), second[0], second[1]), (16, [0, 0, 72, 37], [0, 22, 72, 59]));
+        assert_eq!((second[3], second[4]), ([0, 66, 72, 100], [57, 0, 129, 37]));
+        assert_eq!(second[15], [171, 66, 240, 100]);
+        assert_eq!(layer(0).collect::<Vec<_>>(), [[0, 0, 240, 100]]);
+    }
 }

@@ -214,4 +214,26 @@ mod tests {
             assert!(m.contains(left, 4) && m.contains(left + 65, 6) && !m.contains(left, 5));
         }
     }
+
+    #[test]
+    fn overlaps_sizes_and_runs_of_two_bars() {
+        // Columns 60 to 69 of rows 1 and 2, and columns 66 to 140 of rows 2 to 4.
+        let a = Mask::from_fn(150, 6, |x, y| (60..70).contains(&x) && (1..3).contains(&y));
+        let b = Mask::from_fn(150, 6, |x, y| (66..=140).contains(&x) && (2..5).contains(&y));
+        assert_eq!((a.size(), a.area(), b.area()), ([150, 6], 20, 225));
+        // They share columns 66 to 69 of row 2: 4 of 20 + 225 − 4.
+        assert_eq!((a.intersection(&b), b.intersection(&a)), (4, 4));
+        assert!((a.iou(&b) - 4.0 / 241.0).abs() < 1e-12);
+        assert!(!a.contains(59, 1) && a.contains(60, 1) && a.contains(69, 2) && !a.contains(70, 2));
+        assert!(
+            !a.contains(60, 0) && !b.contains(65, 3) && b.contains(66, 3) && b.contains(140, 4)
+        );
+        // 60 columns of 6 and one pixel before the first run of two; then 4 outside between each two.
+        let runs = a.to_rle();
+        assert_eq!((runs[..4].to_vec(), runs.len()), (vec![361, 2, 4, 2], 21));
+        assert_eq!((runs[20], runs.iter().sum::<u32>()), (3 + 80 * 6, 900));
+        let far = Mask::from_fn(150, 6, |x, y| x == 149 && y == 5);
+        assert_eq!((a.intersection(&far), a.iou(&far)), (0, 0.0));
+        assert_eq!((far.to_rle(), far.bounds()), (vec![899, 1], Some([149, 5, 149, 5])));
+    }
 }

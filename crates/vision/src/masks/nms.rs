@@ -147,4 +147,45 @@ mod tests {
         assert_eq!(keep(&small), [0, 1]);
         assert_eq!(keep(&[]), [0; 0]);
     }
+
+    #[test]
+    fn limits_are_met_at_their_edges_and_kept_apart() {
+        let keep = |all: &[MaskProposal], limits: &MaskNms| keep_masks(all, limits);
+        let default = MaskNms::default();
+        assert_eq!(default, MaskNms { iou: 0.8, score: 0.7, inner: 0.5, least_area: 10 });
+        // 16 of 20 columns are both: an IoU of 0.8 is not above 0.8. Of 17 of 20 the better stays.
+        let pair = |wide| [proposal(0, 20, 0.9), proposal(0, wide, 0.8)];
+        let apart = MaskNms { inner: 0.0, ..default };
+        assert_eq!(keep(&pair(16), &apart), [0, 1]);
+        assert_eq!(keep(&pair(17), &apart), [0]);
+        // 17 of 20 columns inside are 0.85, 16 are not. They are 0.34 of the larger: the product is 0.289.
+        let inside = |x| [proposal(0, 50, 0.9), proposal(x, 20, 0.8)];
+        assert_eq!(keep(&inside(33), &default), [0]);
+        assert_eq!(keep(&inside(34), &default), [0, 1]);
+        assert_eq!(keep(&inside(33), &MaskNms { inner: 0.288, ..default }), [0, 1]);
+        assert_eq!(keep(&inside(33), &MaskNms { inner: 0.290, ..default }), [0]);
+        // Wholly inside, and half of the larger: not less than half. 0.9 of it is still below the IoU's limit.
+        let half = |wide| [proposal(0, 40, 0.9), proposal(0, wide, 0.8)];
+        assert_eq!(keep(&half(20), &MaskNms { inner: 1.0, ..default }), [0, 1]);
+        assert_eq!(keep(&half(19), &MaskNms { inner: 1.0, ..default }), [0]);
+        // The least area and the score are settings, too; none above the score are the best three.
+        let three = [0.5, 0.2, 0.4, 0.3].map(|s| proposal((s * 100.0) as u32, 3, s));
+        assert_eq!(keep(&three, &default), [0, 2, 3]);
+        assert_eq!(keep(&three, &MaskNms { score: 0.25, ..default }), [0, 2, 3]);
+        assert_eq!(keep(&three, &MaskNms { score: 0.35, ..default }), [0, 2]);
+        assert_eq!(keep(&three, &MaskNms { least_area: 30, ..default }), [0; 0]);
+        assert_eq!(keep(&three, &MaskNms { least_area: 29, ..default }), [0, 2, 3]);
+    }
+
+    #[test]
+    fn boxes_overlap_on_both_axes() {
+        // 10 × 4 and 6 × 8 that share 4 × 3 = 12: 12 / (40 + 48 − 12) = 0.1579.
+        let (a, b) = ([0, 0, 10, 4], [6, 1, 12, 9]);
+        assert!((box_iou(a, b) - 12.0 / 76.0).abs() < 1e-12);
+        assert!((box_iou(b, a) - 12.0 / 76.0).abs() < 1e-12);
+        // Side by side, and above each other: nothing in common.
+        assert_eq!((box_iou(a, [10, 0, 20, 4]), box_iou(a, [0, 5, 10, 9])), (0.0, 0.0));
+        // Exactly the limit stays.
+        assert_eq!(keep_boxes(&[[0, 0, 10, 10], [0, 0, 5, 10]], &[1.0, 0.5], 0.5), [0, 1]);
+    }
 }

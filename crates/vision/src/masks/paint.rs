@@ -85,4 +85,28 @@ mod tests {
         let all = [bar(0, 6, 0.8), bar(1, 2, 0.7), bar(4, 2, 0.9), bar(5, 3, 0.1)];
         assert_eq!(paint_objects(&all, 8, 1).ids, [0, 0, 0, 0, 2, 2, 3, 3]);
     }
+
+    #[test]
+    fn parts_are_told_by_share_score_and_size() {
+        let ids = |all: &[MaskProposal]| paint_objects(all, 8, 1).ids;
+        // Stability counts: 0.9 · 0.5 is less than 0.6, so the small one is no part of a better one.
+        let unsteady = MaskProposal { stability: 0.5, ..bar(0, 6, 0.9) };
+        assert_eq!(ids(&[unsteady, bar(1, 2, 0.6)]), [0, 1, 1, 0, 0, 0, -1, -1]);
+        // Half of it in the larger is not enough to be a part; the smaller is painted last.
+        assert_eq!(ids(&[bar(5, 2, 0.1), bar(0, 6, 0.9)]), [1, 1, 1, 1, 1, 0, 0, -1]);
+        // Equal areas and equal scores: nothing is a part, and the first of equals is painted first.
+        assert_eq!(ids(&[bar(0, 3, 0.9), bar(0, 3, 0.8)]), [1, 1, 1, -1, -1, -1, -1, -1]);
+        assert_eq!(ids(&[bar(0, 3, 0.9), bar(1, 2, 0.9)]), [0, 1, 1, -1, -1, -1, -1, -1]);
+        // 17 of 20 columns are 85 %, which is not more.
+        let long = |x: u32, wide: u32, score: f32| MaskProposal {
+            mask: Mask::from_fn(60, 1, |u, _| u >= x && u < x + wide),
+            ..bar(0, 1, score)
+        };
+        let id_of = |x| paint_objects(&[long(0, 40, 0.9), long(x, 20, 0.5)], 60, 1).ids[39];
+        assert_eq!((id_of(23), id_of(22)), (1, 0));
+        // A map of two rows takes the masks' own.
+        let tall = MaskProposal { mask: Mask::from_fn(3, 2, |x, y| x + y == 2), ..bar(0, 1, 0.5) };
+        let map = paint(&[tall], 3, 2);
+        assert_eq!((map.width, map.height, map.ids), (3, 2, vec![-1, -1, 0, -1, 0, -1]));
+    }
 }

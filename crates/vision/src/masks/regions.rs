@@ -79,4 +79,23 @@ mod tests {
         clean(&mut same, 2, 0);
         assert_eq!(same, picture(&["#.", ".."]));
     }
+
+    #[test]
+    fn a_logit_of_zero_is_outside_and_both_limits_are_the_same() {
+        // One pixel of 0 in a square of 3: a hole, which becomes 10; what is not changed keeps its value.
+        let mut hole = vec![2.0; 9];
+        hole[4] = 0.0;
+        clean(&mut hole, 3, 1);
+        assert_eq!(hole, [2.0, 2.0, 2.0, 2.0, 10.0, 2.0, 2.0, 2.0, 2.0]);
+        // A sprinkle of two in the corner of a square of 4 stays at 1 and goes at 2; the rest is larger.
+        let mut two = vec![-0.5; 16];
+        (two[11], two[15]) = (0.1, 4.0);
+        let mut kept = two.clone();
+        clean(&mut kept, 4, 1);
+        assert_eq!(kept, two);
+        clean(&mut two, 4, 2);
+        let want: Vec<f32> =
+            (0..16).map(|i| if i == 11 || i == 15 { -10.0 } else { -0.5 }).collect();
+        assert_eq!(two, want);
+    }
 }

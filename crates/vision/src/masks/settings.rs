@@ -128,4 +128,75 @@ mod tests {
         assert_eq!((labels.pred_iou, labels.stability, labels.min_region), (0.7, 0.85, 100));
         assert_eq!((own.crop_layers, labels.crop_layers), (0, 1));
     }
+
+    #[test]
+    fn every_number_is_that_of_the_authors_generator() {
+        // SAM2AutomaticMaskGenerator's own arguments; SceneSplat's are those of the authors' later public code.
+        let own = MaskSettings {
+            points_per_side: 32,
+            points_per_batch: 64,
+            pred_iou: 0.8,
+            stability: 0.95,
+            stability_offset: 1.0,
+            box_nms: 0.7,
+            crop_layers: 0,
+            crop_nms: 0.7,
+            crop_overlap: 512.0 / 1500.0,
+            point_downscale: 1,
+            min_region: 0,
+            level: Level::All,
+        };
+        assert_eq!(MaskSettings::original(), own);
+        assert_eq!(MaskSettings::default(), own);
+        let labels = MaskSettings {
+            pred_iou: 0.7,
+            stability: 0.85,
+            crop_layers: 1,
+            min_region: 100,
+            level: Level::Whole,
+            ..own
+        };
+        assert_eq!(MaskSettings::scenesplat(), labels);
+        // A file may leave out what is the default.
+        let read: MaskSettings = serde_json::from_str(r#"{"level": "whole"}"#).unwrap();
+        assert_eq!(read, MaskSettings { level: Level::Whole, ..own });
+        assert!(serde_json::from_str::<MaskSettings>(r#"{"levels": 3}"#).is_err());
+    }
+
+    #[test]
+    fn settings_are_possible_up_to_their_limits() {
+        type Change = fn(&mut MaskSettings);
+        let all: [(Change, &str); 24] = [
+            (|s| (s.pred_iou, s.stability, s.box_nms) = (0.0, 0.0, 0.0), ""),
+            (|s| (s.pred_iou, s.stability, s.box_nms) = (1.0, 1.0, 1.0), ""),
+            (|s| (s.crop_nms, s.crop_overlap, s.stability_offset) = (1.0, 1.0, 0.0), ""),
+            (|s| (s.points_per_side, s.point_downscale) = (1024, 1024), ""),
+            (|s| (s.points_per_batch, s.crop_layers) = (1 << 16, 4), ""),
+            (|s| s.pred_iou = 1.1, "pred_iou is 1.1"),
+            (|s| s.pred_iou = -0.5, "pred_iou is -0.5: 0 to 1"),
+            (|s| s.stability = 1.5, "stability is 1.5"),
+            (|s| s.stability = f32::NAN, "stability is NaN"),
+            (|s| s.box_nms = -1.0, "box_nms is -1"),
+            (|s| s.crop_nms = 1.5, "crop_nms is 1.5"),
+            (|s| s.crop_nms = f32::NAN, "crop_nms is NaN"),
+            (|s| s.crop_overlap = 1.01, "crop_overlap is 1.01"),
+            (|s| s.crop_overlap = -0.01, "crop_overlap is -0.01"),
+            (|s| s.stability_offset = -0.5, "stability_offset is -0.5: a number from 0 on"),
+            (|s| s.stability_offset = f32::INFINITY, "stability_offset is inf"),
+            (|s| s.stability_offset = f32::NAN, "stability_offset is NaN"),
+            (|s| s.points_per_side = 1025, "points_per_side is 1025: 1 to"),
+            (|s| s.points_per_batch = 0, "points_per_batch is 0"),
+            (|s| s.points_per_batch = (1 << 16) + 1, "points_per_batch is 65537"),
+            (|s| s.point_downscale = 0, "point_downscale is 0"),
+            (|s| s.point_downscale = 1025, "point_downscale is 1025"),
+            (|s| s.crop_layers = 5, "crop_layers is 5: at most 4"),
+            (|s| s.min_region = usize::MAX, ""),
+        ];
+        for (change, message) in all {
+            let mut settings = MaskSettings::original();
+            change(&mut settings);
+            let found = settings.check().map_or_else(|error| error.to_string(), |()| String::new());
+            assert!(found.contains(message) && found.is_empty() == message.is_empty(), "{found}");
+        }
+    }
 }

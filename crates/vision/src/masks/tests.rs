@@ -1,5 +1,7 @@
 //! The generator on pictures with planted objects, through a network that knows them.
 
+mod notes;
+
 use super::*;
 
 /// A network that answers with the true object under the click: its color in the picture.

@@ -128,4 +128,25 @@ mod tests {
         let none = upscale(&[-1.0; 16], 4, place, 0.5);
         assert!(none.stability.is_nan() && none.mask.bounds().is_none());
     }
+
+    #[test]
+    fn a_soft_edge_is_as_stable_as_its_width_says() {
+        // Two cells of +10 and −10 over 40 pixels: from the first middle at 10 to the second at 30 the logit falls by 1 a
+        // pixel. It is 0 at 20, where no pixel's middle is: columns up to 19 are inside.
+        let place = Place { picture: [50, 30], left: 3, top: 2, width: 40, height: 5 };
+        let logits = [10.0, -10.0, 10.0, -10.0];
+        // Above 1 are columns up to 18, above −1 those up to 20; above 2.6 up to 16, above −2.6 up to 22.
+        for (offset, sure, possible) in [(1.0, 19.0, 21.0), (2.6, 17.0, 23.0), (0.0, 20.0, 20.0)] {
+            let up = upscale(&logits, 2, place, offset);
+            assert_eq!((up.mask.bounds(), up.mask.area()), (Some([3, 2, 22, 6]), 100));
+            assert!((up.stability - (sure / possible) as f32).abs() < 1e-6, "{}", up.stability);
+        }
+        // Rows in which the logit is between −offset and 0 are possible and not inside.
+        let faint = upscale(&[-0.5; 4], 2, place, 1.0);
+        assert_eq!((faint.mask.area(), faint.stability), (0, 0.0));
+        // Down, too: 10 above −10 in 8 rows is inside up to row 3.
+        let tall = Place { picture: [3, 8], left: 0, top: 0, width: 3, height: 8 };
+        let up = upscale(&[10.0, 10.0, -10.0, -10.0], 2, tall, 1.0);
+        assert_eq!(up.mask.bounds(), Some([0, 0, 2, 3]));
+    }
 }

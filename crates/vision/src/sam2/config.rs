@@ -204,4 +204,77 @@ mod tests {
             assert_eq!(config.global_att_blocks, global);
         }
     }
+
+    #[test]
+    fn the_authors_sizes_are_the_published_ones() {
+        // Channels and heads of the first stage, and the side of the coarse embedding; the rest is common.
+        for (config, embed_dim, num_heads, coarse) in [
+            (Sam2Config::tiny(), 96, 1, 7),
+            (Sam2Config::small(), 96, 1, 7),
+            (Sam2Config::base_plus(), 112, 2, 14),
+            (Sam2Config::large(), 144, 2, 7),
+        ] {
+            assert_eq!((config.embed_dim, config.num_heads), (embed_dim, num_heads));
+            assert_eq!(config.window_pos_embed_bkg_spatial_size, [coarse; 2]);
+            assert_eq!((config.image_size, config.d_model, config.iou_hidden), (1024, 256, 256));
+            let decoder = (config.decoder_depth, config.decoder_heads, config.decoder_mlp);
+            assert_eq!(decoder, (2, 8, 2048));
+            assert_eq!((config.side(), config.decoder_side()), (256, 64));
+        }
+    }
+
+    #[test]
+    fn sizes_are_possible_up_to_their_limits() {
+        type Change = fn(&mut Sam2Config);
+        let good: [Change; 9] = [
+            |c| c.image_size = 4096,
+            |c| (c.image_size, c.window_spec) = (32, [8, 4, 8, 3]),
+            |c| (c.embed_dim, c.num_heads) = (1024, 64),
+            |c| (c.d_model, c.decoder_heads) = (2048, 64),
+            |c| (c.decoder_depth, c.decoder_mlp, c.iou_hidden) = (16, 1 << 15, 1 << 12),
+            |c| (c.decoder_depth, c.decoder_mlp, c.iou_hidden, c.decoder_heads) = (1, 1, 1, 1),
+            |c| c.stages = [1, 1, 997, 1],
+            |c| c.window_pos_embed_bkg_spatial_size = [1, 256],
+            // The last block, and none that begins a stage.
+            |c| c.global_att_blocks = vec![0, 47],
+        ];
+        for (i, change) in good.iter().enumerate() {
+            let mut config = Sam2Config::large();
+            change(&mut config);
+            config.check().unwrap_or_else(|error| panic!("{i}: {error}"));
+        }
+        let bad: [(Change, &str); 24] = [
+            (|c| c.image_size = 0, "image_size is 0: a multiple of 32 up to 4096"),
+            (|c| c.image_size = 4128, "image_size is 4128"),
+            (|c| c.image_size = 1040, "image_size is 1040"),
+            (|c| c.embed_dim = 1026, "embed_dim is 1026: too small or larger"),
+            (|c| c.num_heads = 0, "num_heads is 0"),
+            (|c| c.num_heads = 65, "num_heads is 65"),
+            (|c| c.num_heads = 5, "embed_dim is 144: a multiple of num_heads"),
+            (|c| c.d_model = 2056, "d_model is 2056"),
+            (|c| c.d_model = 252, "d_model is 252: a multiple of 8"),
+            (|c| c.d_model = 24, "d_model is 24: a multiple of 8 and of twice decoder_heads"),
+            (|c| c.decoder_depth = 17, "decoder_depth is 17"),
+            (|c| c.decoder_heads = 65, "decoder_heads is 65"),
+            (|c| c.decoder_mlp = (1 << 15) + 1, "decoder_mlp is 32769"),
+            (|c| c.iou_hidden = 4097, "iou_hidden is 4097"),
+            (|c| c.stages = [1, 1, 998, 1], "stages is [1, 1, 998, 1]: 1 to 1000"),
+            (|c| c.window_spec = [8, 4, 258, 8], "window_spec is [8, 4, 258, 8]: even sides"),
+            (|c| c.window_spec = [8, 4, 16, 0], "window_spec is [8, 4, 16, 0]"),
+            (|c| c.window_spec = [6, 4, 16, 8], "its first side must divide a quarter"),
+            (|c| c.window_pos_embed_bkg_spatial_size = [7, 257], "spatial_size is [7, 257]"),
+            (|c| c.window_pos_embed_bkg_spatial_size = [0, 7], "spatial_size is [0, 7]: 1 to 256"),
+            // Stages of 2, 6, 36 and 4 blocks begin at 0, 2, 8 and 44.
+            (|c| c.global_att_blocks = vec![23, 2], "global_att_blocks is 2: blocks that exist"),
+            (|c| c.global_att_blocks = vec![8], "global_att_blocks is 8"),
+            (|c| c.global_att_blocks = vec![44], "global_att_blocks is 44"),
+            (|c| c.global_att_blocks = vec![48], "global_att_blocks is 48"),
+        ];
+        for (change, message) in bad {
+            let mut config = Sam2Config::large();
+            change(&mut config);
+            let error = config.check().unwrap_err().to_string();
+            assert!(error.contains(message), "{error}");
+        }
+    }
 }

@@ -1,5 +1,8 @@
 //! Against numbers of the authors' code, and against the definition in f64.
 
+mod definition;
+mod weight_file;
+
 use super::*;
 use crate::layers::Norm;
 use crate::masks::upscale::{Place, upscale};

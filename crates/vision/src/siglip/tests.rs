@@ -1,5 +1,7 @@
 //! Against numbers of transformers (`benches/pytorch/siglip.py`), and the traps between a folder and a vector.
 
+mod folders;
+
 use super::*;
 use crate::test_files::{Arrays, save};
 use scenesplat_kernels::Precision;

@@ -83,3 +83,33 @@ fn sizes_without_pixels_are_refused() {
     let empty = RgbPicture::filled(0, 3, [0; 3]);
     assert!(resize_planes(&empty, 4, 4, Filter::Bilinear).is_err());
 }
+
+#[test]
+fn planes_are_the_definitions_in_f64() {
+    // Wider and less high, so that the triangle is stretched along one axis alone; and the other way round.
+    for (from, to) in [([23u32, 31u32], [40u32, 9u32]), ([31, 11], [7, 20])] {
+        let picture = picture(from[0], from[1]);
+        let planes = resize_planes(&picture, to[0], to[1], Filter::Bilinear).unwrap();
+        let weight = |axis: usize, out: u32, i: u32| {
+            let scale = f64::from(from[axis]) / f64::from(to[axis]);
+            let middle = (f64::from(out) + 0.5) * scale;
+            (1.0 - ((f64::from(i) + 0.5 - middle) / scale.max(1.0)).abs()).max(0.0)
+        };
+        let taps = |axis: usize, out: u32| -> Vec<f64> {
+            let all: Vec<f64> = (0..from[axis]).map(|i| weight(axis, out, i)).collect();
+            let sum: f64 = all.iter().sum();
+            all.iter().map(|w| w / sum).collect()
+        };
+        for (i, got) in planes.iter().enumerate() {
+            let (c, at) = (i / (to[0] * to[1]) as usize, i as u32 % (to[0] * to[1]));
+            let (across, down) = (taps(0, at % to[0]), taps(1, at / to[0]));
+            let mut want = 0.0;
+            for (y, v) in (0..).zip(&down) {
+                for (x, u) in (0..).zip(&across).filter(|(_, u)| **u > 0.0) {
+                    want += v * u * f64::from(picture.get(x, y).unwrap()[c]) / 255.0;
+                }
+            }
+            assert!((f64::from(*got) - want).abs() < 1e-5, "{from:?} {i}: {got} {want}");
+        }
+    }
+}

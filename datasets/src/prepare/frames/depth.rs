@@ -83,13 +83,12 @@ impl DepthMap {
         };
         let here = color.resized(picture_size, self.size);
         let [w, h] = self.size.map(f64::from);
-        let shift = |corner: [f64; 2]| {
-            let place = here.place_in(&own, corner);
-            (place[0] - corner[0]).abs().max((place[1] - corner[1]).abs())
-        };
         // False for a lens that is not finite, too, which then gives no value at all.
-        let fits =
-            [[0.0, 0.0], [w, 0.0], [0.0, h], [w, h]].map(shift).iter().all(|s| *s <= MAX_SHIFT);
+        let fits = |corner: [f64; 2]| {
+            let place = here.place_in(&own, corner);
+            (0..2).all(|k| (place[k] - corner[k]).abs() <= MAX_SHIFT)
+        };
+        let fits = [[0.0, 0.0], [w, 0.0], [0.0, h], [w, h]].into_iter().all(fits);
         if fits && is_shaped {
             return self.finish(false, source);
         }

@@ -1,6 +1,8 @@
 //! Each layout on a miniature made to the benchmark's own documentation.
 #![allow(clippy::unwrap_used, reason = "a test may fail loudly")]
 
+mod marks;
+
 use super::*;
 use scenesplat_scene::GaussianScene;
 use scenesplat_scene::formats::{SceneFormat, WriteOptions, write_scene};

@@ -180,3 +180,115 @@ pub(super) fn level_of(term: &str, scales: usize, up_cast: usize) -> Result<usiz
         ),
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::super::config::{
+        DinoTerm, IbotCrossEntropyTerm, IbotTerm, LanguageAlignmentTerm, MaskedGaussiansTerm,
+        SelfDistillationTerm, SimDinoTerm,
+    };
+    use super::*;
+    use candle_core::{DType, Device};
+
+    #[test]
+    fn attributes_have_the_ranges_of_their_values_and_scales_are_counted_from_the_coarsest() {
+        use AttributeRange::{Any, Direction, Signed, Unit};
+        for (channel, name, range) in [
+            (InputChannel::Color, "color", Signed),
+            (InputChannel::UnitColor, "unit_color", Unit),
+            (InputChannel::Opacity, "opacity", Unit),
+            (InputChannel::Quat, "quat", Direction),
+            (InputChannel::Scale, "scale", Any),
+            (InputChannel::Normal, "normal", Signed),
+            (InputChannel::Height, "height", Any),
+            (InputChannel::Position, "position", Any),
+        ] {
+            let found = attribute(channel);
+            assert_eq!((found.0, format!("{:?}", found.1)), (name, format!("{range:?}")));
+        }
+        let level = |up_cast| level_of("t", 5, up_cast).ok();
+        assert_eq!([0, 2, 4, 5].map(level), [Some(4), Some(2), Some(0), None]);
+        let error = level_of("t", 5, 5).unwrap_err().to_string();
+        assert!(
+            error.contains("t.up_cast: 5 scales above the coarsest of 5; at most 4"),
+            "{error}"
+        );
+    }
+
+    #[test]
+    fn each_head_reads_its_own_rows_and_gives_its_own_width() {
+        let input = vec![InputChannel::Position, InputChannel::Quat, InputChannel::Opacity];
+        let widths = Widths { rows: 7, encoder: vec![3, 5, 9], input };
+        let store = ParamStore::trainable(1);
+        let make =
+            |term: &TermConfig| Head::new(term, &widths, Compute::default(), &store).unwrap();
+        let small = || Prototypes { count: 4, hidden: 6, out: 2, ..Prototypes::default() };
+        let (hidden, out) = (6, 2);
+        let each = MaskedGaussiansTerm { heads: GaussianHeads::PerAttribute, ..<_>::default() };
+        let joint = MaskedGaussiansTerm::default();
+        let x = |width| Tensor::ones((2, width), DType::F32, &Device::Cpu).unwrap();
+        for (term, reads, gives, attributes) in [
+            (TermConfig::MaskedGaussians(joint), 7, 8, true),
+            (
+                TermConfig::LanguageAlignment(LanguageAlignmentTerm {
+                    hidden,
+                    out,
+                    ..<_>::default()
+                }),
+                7,
+                2,
+                true,
+            ),
+            (TermConfig::SimDino(SimDinoTerm { hidden, out, ..<_>::default() }), 9, 2, false),
+            (TermConfig::Ibot(IbotTerm { hidden, out, weight: 1.0 }), 7, 2, false),
+            (TermConfig::Dino(DinoTerm { prototypes: small(), weight: 1.0 }), 9, 4, false),
+            (
+                TermConfig::IbotCrossEntropy(IbotCrossEntropyTerm {
+                    prototypes: small(),
+                    weight: 1.0,
+                }),
+                7,
+                4,
+                false,
+            ),
+        ] {
+            let head = make(&term);
+            assert_eq!(head.forward(&x(reads)).unwrap().dims(), [2, gives], "{}", term.name());
+            assert!(head.forward(&x(reads + 1)).is_err(), "{}", term.name());
+            assert_eq!(head.attributes(&x(reads)).is_ok(), attributes, "{}", term.name());
+            let same = head.of_view(&x(reads), true).unwrap().to_vec2::<f32>().unwrap();
+            assert_eq!(same, head.forward(&x(reads)).unwrap().to_vec2::<f32>().unwrap());
+        }
+        let store = ParamStore::trainable(2);
+        let head =
+            Head::new(&TermConfig::MaskedGaussians(each), &widths, Compute::default(), &store)
+                .unwrap();
+        let rows = head.attributes(&x(7)).unwrap().to_vec2::<f32>().unwrap();
+        assert_eq!(
+            (rows[0].len(), rows == head.forward(&x(7)).unwrap().to_vec2::<f32>().unwrap()),
+            (8, true)
+        );
+        let length: f32 = rows[0][3..7].iter().map(|v| v * v).sum();
+        assert!((length - 1.0).abs() < 1e-5 && (0.0..1.0).contains(&rows[0][7]), "{rows:?}");
+        // Self-distillation has a head for each kind of view that has a share; scales 1 and 2 are 5 + 9 wide.
+        for (shares, masked, local) in [
+            ([0.5, 0.0, 0.5], true, true),
+            ([0.0, 1.0, 0.0], true, false),
+            ([1.0, 0.0, 0.0], true, false),
+            ([0.0, 0.0, 1.0], false, true),
+        ] {
+            let term =
+                SelfDistillationTerm { prototypes: small(), up_cast: 1, shares, ..<_>::default() };
+            let store = ParamStore::trainable(3);
+            let head =
+                Head::new(&TermConfig::SelfDistillation(term), &widths, Compute::default(), &store)
+                    .unwrap();
+            let of = |is_local| {
+                head.of_view(&x(14), is_local).map(|rows| rows.to_vec2::<f32>().unwrap()).ok()
+            };
+            assert_eq!([of(false).is_some(), of(true).is_some()], [masked, local], "{shares:?}");
+            assert!(!(masked && local) || of(false) != of(true), "two heads");
+            assert!(head.forward(&x(14)).is_err() && head.attributes(&x(14)).is_err());
+        }
+    }
+}

@@ -6,7 +6,10 @@
 //! (1 + 2, 2 − 1.25, 3 + 0.75) in the world.
 #![allow(clippy::unwrap_used, clippy::panic, reason = "a test may fail loudly")]
 
+mod checks;
+mod depths;
 mod layouts;
+mod lenses;
 mod streams;
 
 use super::lens::{Lens, Pose};

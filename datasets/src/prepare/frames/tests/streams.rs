@@ -123,6 +123,52 @@ fn depths_of_another_lens_are_brought_into_the_colors_pixels() {
     assert_eq!(values[8..16], [1000, 1000, 1000, 1000, 2000, 1000, 0, 0]);
 }
 
+/// Numbers of the header by hand: lenses from byte 16 on, 64 bytes a matrix.
+#[test]
+fn a_stream_says_its_lenses_row_by_row_and_what_is_not_aligned() {
+    let mini = Mini::new();
+    let mut sens = Sens::new(1);
+    sens.frames.truncate(1);
+    sens.frames[0].0 = lenses::TURNED;
+    let mut bytes = sens.bytes();
+    let mut put = |at: usize, value: f32| bytes[at..at + 4].copy_from_slice(&value.to_le_bytes());
+    for matrix in [16, 144] {
+        // Entries 0, 5, 2 and 6 of 16.
+        for (at, value) in [(0, 5.0), (20, 3.0), (8, 2.75), (24, 2.25)] {
+            put(matrix + at, value);
+        }
+    }
+    mini.write("a.sens", &bytes);
+    let (frames, _, notes) = read(&mini.at("a.sens"), FrameLayout::Scannet);
+    let camera = &frames[0].camera;
+    assert_eq!([camera.fx, camera.fy, camera.cx, camera.cy], [5.0, 3.0, 3.25, 2.75]);
+    for (got, want) in camera.camera_to_world().iter().zip(lenses::TURNED) {
+        assert!((0..4).all(|k| (got[k] - want[k]).abs() < 1e-6), "{got:?} {want:?}");
+    }
+    assert!(notes.is_empty() && !frames[0].depth.as_ref().unwrap().resampled);
+    // The places of the two cameras are the second and the fourth matrix.
+    for (at, what) in [(80, "matrix of color is not"), (208, "matrix of depth is not")] {
+        let mut moved = bytes.clone();
+        moved[at + 12..at + 16].copy_from_slice(&1f32.to_le_bytes());
+        mini.write("a.sens", &moved);
+        let (_, _, notes) = read(&mini.at("a.sens"), FrameLayout::Scannet);
+        assert!(notes.len() == 1 && notes[0].contains(what), "{notes:?}");
+    }
+    // A lens of the depth alone, far off: its own counts for the depth, not for the color.
+    let mut other = bytes.clone();
+    other[144..148].copy_from_slice(&9f32.to_le_bytes());
+    mini.write("a.sens", &other);
+    let (frames, ..) = read(&mini.at("a.sens"), FrameLayout::Scannet);
+    assert!(frames[0].camera.fx == 5.0 && frames[0].depth.as_ref().unwrap().resampled);
+    // A frame without color is none, one without depth has none.
+    let depth = sens.frames[0].2.clone();
+    sens.frames = vec![(POSE, Vec::new(), depth), (POSE, color(), Vec::new())];
+    mini.write("a.sens", sens.bytes());
+    let (frames, skipped, _) = read(&mini.at("a.sens"), FrameLayout::Scannet);
+    assert_eq!(skipped, [("000000".to_owned(), SkipReason::NoPicture)]);
+    assert!(frames[0].camera.name == "000001.png" && frames[0].depth.is_none());
+}
+
 #[test]
 fn damaged_streams_are_refused() {
     let mini = Mini::new();
