@@ -54,6 +54,7 @@ pub mod query;
 pub mod recognition;
 pub mod reconstruction;
 pub mod setting;
+pub mod taught;
 pub mod text;
 pub mod text_model;
 pub mod yardsticks;

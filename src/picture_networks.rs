@@ -1,13 +1,18 @@
-//! The networks of [`vision`](crate::vision) where labels are collected: SAM 2 cuts pictures, SigLIP 2 describes segments; with the
-//! feature `onnx`, networks in ONNX files do either.
+//! The networks of [`vision`](crate::vision) where labels are collected: SAM 2 cuts pictures, SigLIP 2 describes segments, a
+//! detector does both; with the feature `onnx`, networks in ONNX files do either.
 
-use scenesplat_collection::{CollectError, PictureEncoder, PosedPicture, Segmented, Segmenter};
+use scenesplat_collection::{
+    BoxFinder, CollectError, NamedBox, PictureEncoder, PosedPicture, Segmented, Segmenter,
+};
+use scenesplat_scene::TextTable;
 use scenesplat_scene::picture::RgbPicture;
+use scenesplat_text::{PhraseError, PhraseTable};
+use scenesplat_vision::detector::COCO;
 use scenesplat_vision::masks::{ClickNetwork, paint_objects};
 #[cfg(feature = "onnx")]
 use scenesplat_vision::onnx::OnnxEncoder;
 use scenesplat_vision::{
-    AutomaticMasks, MaskSettings, Sam2, SiglipImageEncoder, VisionError, paint,
+    AutomaticMasks, Detector, MaskSettings, Sam2, SiglipImageEncoder, VisionError, paint,
 };
 
 /// The automatic masks of a network that answers clicks, such as SAM 2, painted over each other as SceneSplat's labels were:
@@ -84,6 +89,61 @@ impl PictureEncoder for SiglipCrops {
 
     fn encode(&self, pictures: &[RgbPicture]) -> Result<Vec<f32>, CollectError> {
         self.encoder.encode(pictures).map_err(failed("SigLIP 2", ""))
+    }
+}
+
+/// A detector's boxes, with those classes of COCO that the phrase table inside the program has words for.
+#[derive(Debug)]
+pub struct DetectorBoxes {
+    detector: Detector,
+    name: String,
+    /// The row of each class of COCO among the texts.
+    rows: Vec<Option<usize>>,
+}
+
+impl DetectorBoxes {
+    /// The boxes, and the names of their classes with vectors; `weights` says which weights they are, such as their checksum.
+    /// Boxes of other classes, such as giraffes, are left out.
+    ///
+    /// # Errors
+    /// If the phrase table is damaged.
+    pub fn new(detector: Detector, weights: &str) -> Result<(Self, TextTable), PhraseError> {
+        let table = PhraseTable::embedded()?;
+        let mut texts = TextTable { names: Vec::new(), dim: table.dim(), values: Vec::new() };
+        let mut rows = Vec::with_capacity(COCO.len());
+        for name in COCO {
+            // With a word that is not known it would be something else: "fire hydrant" would be a fire.
+            let understood = table
+                .understand(name)
+                .ok()
+                .filter(|found| found.unknown.is_empty() && found.corrected.is_empty());
+            rows.push(understood.map(|found| {
+                texts.names.push(name.to_owned());
+                texts.values.extend(found.row);
+                texts.names.len() - 1
+            }));
+        }
+        let name = format!("detector {weights} {:?}", detector.settings());
+        Ok((Self { detector, name, rows }, texts))
+    }
+}
+
+impl BoxFinder for DetectorBoxes {
+    fn name(&self) -> String {
+        self.name.clone()
+    }
+
+    fn find(&self, picture: &RgbPicture) -> Result<Vec<NamedBox>, CollectError> {
+        let found = self.detector.detect(picture).map_err(failed("the detector", ""))?;
+        // What is no class here first and foremost is nothing.
+        let known = found.into_iter().filter(|thing| self.rows[thing.class()].is_some());
+        let named = |scores: Vec<(usize, f32)>| {
+            scores
+                .into_iter()
+                .filter_map(|(class, score)| Some((self.rows[class]?, score)))
+                .collect()
+        };
+        Ok(known.map(|thing| NamedBox { area: thing.area, scores: named(thing.scores) }).collect())
     }
 }
 

@@ -18,6 +18,7 @@ use scenesplat::outputs::OpenedScene;
 use scenesplat::recognition::{KNOWN, SURE};
 use scenesplat::scene::label_set::read_names;
 use scenesplat::scene::{LabelSet, ReadOptions, TextTable, label_names};
+use scenesplat::taught::taught_labels;
 use scenesplat::{Network, SceneFeatures};
 use scenesplat_lab::compensation::Consumer;
 use std::path::{Path, PathBuf};
@@ -35,6 +36,9 @@ pub struct Labelling {
     /// lang_feat.npy of lift-labels or features.npy.
     #[arg(long, value_name = "FILE.npy")]
     pub features: Option<PathBuf>,
+    /// The folder that collect-labels --teacher wrote for this scene: what the teacher names there overrules the labels.
+    #[arg(long, value_name = "DIR")]
+    pub taught: Option<PathBuf>,
     /// Whether surfaces have one label.
     #[command(flatten)]
     pub surfaces: SurfaceArgs,
@@ -140,7 +144,8 @@ impl LabelArgs {
 
     fn own_labels(&self, session: &Session<'_>, path: &Path, sh_rest: bool) -> Result<Labelled> {
         let Labelling { classes, surfaces, strange, inference, .. } = &self.labelling;
-        let flag = strange.map(|_| "--strange").or(surfaces.given());
+        let taught = self.labelling.taught.as_ref().map(|_| "--taught");
+        let flag = strange.map(|_| "--strange").or(surfaces.given()).or(taught);
         if let Some(flag) = flag.or(inference.only_network_flag()) {
             refuse!("{flag} is about a network, which --label-names leaves out");
         }
@@ -239,6 +244,10 @@ impl Labelling {
                 session.progress.say(text);
             }
         }
+        if let Some(folder) = &self.taught {
+            session.outputs.reads(folder)?;
+            overrule(session, folder, &opened, (&names.names, is_vocabulary), &mut found)?;
+        }
         let effects = match is_network {
             true => session.note_effects(&opened, &self.inference, is_own)?,
             false => Vec::new(),
@@ -336,6 +345,40 @@ impl Labelling {
         }
         Ok((strange != Strange::Label).then_some(rows))
     }
+}
+
+/// Puts the labels of a teacher of pictures over others, and says what became of them.
+fn overrule(
+    session: &Session<'_>,
+    folder: &Path,
+    opened: &OpenedScene,
+    (names, is_vocabulary): (&[String], bool),
+    found: &mut labels::Labels,
+) -> Result<()> {
+    let taught = taught_labels(folder, names, is_vocabulary)?;
+    let (has, rows) = (taught.labels.len(), opened.loaded.source_rows());
+    anyhow::ensure!(
+        has == rows,
+        "--taught {}: has {has} rows, the scene {rows}; give the folder that was made from this scene",
+        folder.display()
+    );
+    let named = taught.labels.iter().filter(|label| **label >= 0).count();
+    let kept = opened.loaded.kept_rows.as_deref();
+    let changed = taught.overrule(&mut found.labels, &mut found.scores, kept);
+    let text = format!("of {named} Gaussians that the teacher names, {changed} had another label");
+    session.receipt.setting("taught", changed, &text);
+    session.progress.say(text);
+    if !taught.unused.is_empty() {
+        let names: Vec<String> =
+            taught.unused.iter().map(|(name, count)| format!("{count} {name:?}")).collect();
+        let text = format!("the teacher's names that are no class here: {}", names.join(", "));
+        session.receipt.setting("taught_unused", taught.unused.len(), &text);
+        session.progress.say(text);
+    }
+    if named == 0 {
+        session.warn(format!("--taught {}: names none of the classes", folder.display()));
+    }
+    Ok(())
 }
 
 /// The classes of a segmentation network, by number where they have no names.

@@ -28,6 +28,7 @@ mod probe;
 mod query;
 mod reconstruct;
 mod render;
+mod room;
 mod segment;
 mod simulate;
 mod text;
@@ -62,6 +63,8 @@ enum Command {
     Features(features::Args),
     /// Labels every Gaussian with a class.
     Segment(segment::Args),
+    /// From the frames of a room to labels, objects and a page: one command.
+    Room(room::Args),
     /// Finds the Gaussians of an object by its name.
     Query(query::Args),
     /// Lists, boxes and exports the objects of a scene.
@@ -154,6 +157,7 @@ impl Command {
             Self::Inspect(args) => inspect::run(args, line),
             Self::Features(args) => features::run(args, line),
             Self::Segment(args) => segment::run(args, line),
+            Self::Room(args) => room::run(args, line),
             Self::Query(args) => query::run(args, line),
             Self::Objects(args) => objects::run(args, line),
             Self::View(args) => view::run(args, line),

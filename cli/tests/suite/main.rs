@@ -30,6 +30,7 @@ mod prepare_frames;
 mod probe;
 mod reconstruct;
 mod render;
+mod room;
 mod settings;
 mod simulate;
 mod strange;

@@ -19,10 +19,10 @@ const MIDDLE: [f64; 2] = [32.0, 24.0];
 type Pose = [[f64; 4]; 4];
 
 /// What one camera saw.
-struct Shot {
+pub(crate) struct Shot {
     camera: Camera,
     /// A PNG.
-    color: Vec<u8>,
+    pub(crate) color: Vec<u8>,
     /// Millimeters along the axis, 0 where nothing is.
     depth: Vec<u16>,
 }
@@ -45,7 +45,7 @@ impl Shot {
 }
 
 /// Eight pictures of a small room, with depths, and what `collect-labels` and `train` want of it.
-fn film(folder: &Folder) -> Vec<Shot> {
+pub(crate) fn film(folder: &Folder) -> Vec<Shot> {
     let size = Size { gaussians: 4000, views: 8, picture: [WIDTH, HEIGHT], room: 0, epochs: 1 };
     world(folder.root(), &size);
     let mut cameras = open_cameras(&folder.path("cameras.json")).unwrap().cameras;
@@ -231,7 +231,7 @@ fn replica(folder: &Folder, shots: &[Shot]) {
 }
 
 /// Folders as 3DMatch's.
-fn rgbd(folder: &Folder, shots: &[Shot]) {
+pub(crate) fn rgbd(folder: &Folder, shots: &[Shot]) {
     folder.write("scan/camera-intrinsics.txt", words(lens(0.5).as_flattened()));
     for (number, shot) in shots.iter().enumerate() {
         let at = |ending: &str| format!("scan/frame-{number:06}.{ending}");

@@ -9,6 +9,8 @@
 //! | cuts a picture into segments | [`Segmenter`] | [`Superpixels`], [`MaskFolder`] |
 //! | turns crops into rows | [`PictureEncoder`] | [`ColourStatistics`] |
 //!
+//! A [`Teacher`] knows names and does both at once: [`BoxTeacher`] makes segments of a detector's boxes.
+//!
 //! What comes out is a [`SegmentMap`](scenesplat_rasterizer::lifting::SegmentMap) with one row of features per id:
 //! what [`Lifter`](scenesplat_rasterizer::lifting::Lifter) takes. Results do not depend on the number of threads, nor
 //! on which crops share a batch.
@@ -18,6 +20,7 @@
 //!
 //! Not for: lifting (see `scenesplat_rasterizer::lifting`), lenses with distortion.
 
+mod boxes;
 mod choice;
 mod colour_statistics;
 mod crops;
@@ -32,6 +35,7 @@ mod seen;
 mod segmenter;
 mod superpixels;
 mod surface;
+mod teacher;
 mod view_plan;
 
 pub use choice::{Shown, choose_pictures, relative_sharpness};
@@ -45,4 +49,5 @@ pub use picture_encoder::PictureEncoder;
 pub use seen::{Seen, seen_in};
 pub use segmenter::{PosedPicture, Segmented, Segmenter};
 pub use superpixels::{SuperpixelSettings, Superpixels};
+pub use teacher::{BoxFinder, BoxTeacher, NamedBox, Taught, Teacher};
 pub use view_plan::{ViewPlan, ViewPlanSettings, plan_views};

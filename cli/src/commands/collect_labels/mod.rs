@@ -14,7 +14,8 @@ pub use args::Args;
 use args::{FRAMES, SegmentsArg};
 use scenesplat::rasterizer::segments::{SegmentFolder, SegmentOptions};
 use scenesplat::rasterizer::{Gaussians, RasterSettings};
-use sources::Sources;
+use scenesplat::taught::TEXTS;
+use sources::{Labeler, Sources};
 use work::Work;
 
 use super::lift_labels::{FILES, PictureLabels};
@@ -64,6 +65,14 @@ pub fn run(args: &Args, line: &str) -> Result<()> {
         let lifting = args.lifting(args.cameras.as_deref().unwrap_or(&args.input.scene))?;
         lifting.lift_onto(&session, &opened, &gaussians, &labels, None)?;
     }
+    if let Labeler::Teacher { texts, .. } = &sources.labeler {
+        let bytes = texts.to_safetensors()?;
+        session.write(TEXTS, |path| std::fs::write(path, &bytes))?;
+        let (scene, out) = (args.input.scene.display(), args.lifting.shared.out.display());
+        session
+            .progress
+            .say(format!("next: scenesplat segment {scene} --taught {out} --out {out}/segmented"));
+    }
     session.finish()
 }
 
@@ -72,8 +81,19 @@ impl Args {
     fn record(&self, session: &Session<'_>, sources: &Sources) {
         let receipt = &session.receipt;
         self.lifting.rule.record(receipt);
-        receipt.setting("segmenter", sources.segmenter.name(), "what cuts pictures into segments");
-        receipt.setting("encoder", sources.encoder.name(), "what describes segments");
+        match &sources.labeler {
+            Labeler::Pair { segmenter, encoder } => {
+                receipt.setting("segmenter", segmenter.name(), "what cuts pictures into segments");
+                receipt.setting("encoder", encoder.name(), "what describes segments");
+            }
+            Labeler::Teacher { teacher, .. } => {
+                receipt.setting(
+                    "teacher",
+                    teacher.name(),
+                    "what finds things and says their names",
+                );
+            }
+        }
         if self.compat.is_some() {
             let why = "red and blue of whole frames are exchanged; a single segment gets the frame's feature";
             receipt.setting("compat", "original", why);

@@ -1,6 +1,6 @@
 //! What cuts pictures, and what describes segments.
 
-use super::args::{Args, FeaturesArg, PicturePrecision, SegmentsArg};
+use super::args::{Args, FeaturesArg, PicturePrecision, SegmentsArg, TeacherArg};
 use super::frames::Frame;
 use super::onnx;
 use crate::error::WrongUse;
@@ -8,23 +8,44 @@ use crate::receipt::sha256_of;
 use crate::session::Session;
 use anyhow::Result;
 use scenesplat::collection::{
-    ColourStatistics, MaskFolder, PictureEncoder, Segmenter, SuperpixelSettings, Superpixels,
+    BoxTeacher, ColourStatistics, MaskFolder, PictureEncoder, Segmenter, SuperpixelSettings,
+    Superpixels, Teacher,
 };
 use scenesplat::kernels::Precision;
-use scenesplat::picture_networks::{MaskSegments, SiglipCrops};
-use scenesplat::vision::{Sam2, SiglipImageEncoder};
+use scenesplat::picture_networks::{DetectorBoxes, MaskSegments, SiglipCrops};
+use scenesplat::scene::TextTable;
+use scenesplat::vision::{Detector, DetectorSettings, Sam2, SiglipImageEncoder};
 use std::path::Path;
 
-/// Both, and where masks are, if they come from files.
+/// What labels pictures.
+pub(super) enum Labeler {
+    /// One network cuts, another describes.
+    Pair { segmenter: Box<dyn Segmenter>, encoder: Box<dyn PictureEncoder> },
+    /// One knows names, which are these.
+    Teacher { teacher: Box<dyn Teacher>, texts: TextTable },
+}
+
+/// It, and where masks are, if they come from files.
 pub(super) struct Sources {
-    pub(super) segmenter: Box<dyn Segmenter>,
-    pub(super) encoder: Box<dyn PictureEncoder>,
+    pub(super) labeler: Labeler,
     masks: Option<MaskFolder>,
 }
 
 impl Sources {
     /// What the flags ask for.
     pub(super) fn of(session: &Session<'_>, args: &Args) -> Result<Self> {
+        if let (Some(TeacherArg::Detector), Some(path)) = (args.teacher, &args.detector) {
+            session.outputs.reads(path)?;
+            session.receipt.fingerprint("detector", path)?;
+            let default = DetectorSettings::default();
+            let score = args.detector_score.unwrap_or(default.score);
+            let detector = Detector::open(path, DetectorSettings { score, ..default })?;
+            let hashes = detector.files().iter().map(|file| Ok(sha256_of(file)?.0));
+            let weights = hashes.collect::<Result<Vec<_>>>()?.join(" ");
+            let (finder, texts) = DetectorBoxes::new(detector, &weights)?;
+            let teacher = Box::new(BoxTeacher::new(finder, &texts.values, texts.dim)?);
+            return Ok(Self { labeler: Labeler::Teacher { teacher, texts }, masks: None });
+        }
         let precision = match args.picture_precision {
             Some(PicturePrecision::Bf16) => Precision::Bf16,
             Some(PicturePrecision::F32) | None => Precision::F32,
@@ -63,7 +84,7 @@ impl Sources {
             FeaturesArg::Colour => Box::new(ColourStatistics),
             FeaturesArg::Onnx => onnx::features(session, args)?,
         };
-        Ok(Self { segmenter, encoder, masks })
+        Ok(Self { labeler: Labeler::Pair { segmenter, encoder }, masks })
     }
 
     /// Finds the masks of the frames, if masks come from files.
@@ -71,8 +92,18 @@ impl Sources {
         let Some(folder) = &mut self.masks else { return Ok(()) };
         let named: Vec<[&str; 2]> = frames.iter().map(|f| [&*f.name, &*f.camera.name]).collect();
         session.tell_found("map of segments", &folder.assign(&named)?);
-        self.segmenter = Box::new(folder.clone());
+        if let Labeler::Pair { segmenter, .. } = &mut self.labeler {
+            *segmenter = Box::new(folder.clone());
+        }
         Ok(())
+    }
+
+    /// Whether the scene's depth is read.
+    pub(super) fn wants_depth(&self) -> bool {
+        match &self.labeler {
+            Labeler::Pair { segmenter, .. } => segmenter.wants_depth(),
+            Labeler::Teacher { .. } => true,
+        }
     }
 
     /// The file of a frame's mask, if masks come from files.

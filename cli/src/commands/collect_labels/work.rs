@@ -3,7 +3,7 @@
 use super::args::{Args, CompatArg, FRAMES};
 use super::cache::{FrameCache, FrameRecord, Made, sha256};
 use super::frames::{Frame, Remarks};
-use super::sources::Sources;
+use super::sources::{Labeler, Sources};
 use crate::receipt::sha256_of;
 use crate::session::Session;
 use anyhow::{Context, Result};
@@ -64,16 +64,20 @@ impl Work<'_> {
     /// Hash of all that segments and features of a frame depend on.
     fn key(&self, frame: &Frame) -> Result<String> {
         let _stage = self.session.receipt.stage("cache");
-        let is_read = self.sources.segmenter.wants_depth() || frame.photo.is_none();
+        let is_read = self.sources.wants_depth() || frame.photo.is_none();
         let scene = is_read.then(|| self.session.receipt.sha256_of_role("input")).flatten();
         let hash = |path: Option<&Path>| -> Result<Option<String>> {
             Ok(path.map(sha256_of).transpose()?.map(|(hash, _)| hash))
         };
         let mask = self.sources.mask(&frame.name);
+        let (segmenter, encoder) = match &self.sources.labeler {
+            Labeler::Pair { segmenter, encoder } => (segmenter.name(), encoder.name()),
+            Labeler::Teacher { teacher, .. } => (teacher.name(), String::new()),
+        };
         let text = json!({
             "version": 1,
-            "segmenter": self.sources.segmenter.name(),
-            "encoder": self.sources.encoder.name(),
+            "segmenter": segmenter,
+            "encoder": encoder,
             "original": self.is_original(),
             "camera": frame.camera,
             "photo": hash(frame.photo.as_deref())?,
@@ -104,7 +108,7 @@ impl Work<'_> {
             None => (self.drawn(&frame.camera)?, frame.camera.clone()),
         };
         let view = View::from_camera(&camera)?;
-        let depth = self.sources.segmenter.wants_depth().then(|| self.depth(&view)).transpose()?;
+        let depth = self.sources.wants_depth().then(|| self.depth(&view)).transpose()?;
         drop(stage);
         let stage = receipt.stage("segments");
         let posed = PosedPicture {
@@ -113,20 +117,27 @@ impl Work<'_> {
             view: &view,
             depth: depth.as_deref(),
         };
-        let segmented = self.sources.segmenter.segment(&posed)?;
-        drop(stage);
-        let stage = receipt.stage("features");
-        let settings = DescribeSettings { original: self.is_original() };
-        let encoder = self.sources.encoder.as_ref();
-        let described = describe(&picture, &segmented.map, encoder, settings)?;
-        drop(stage);
+        let (segmented, features, dim, single_segment) = match &self.sources.labeler {
+            Labeler::Pair { segmenter, encoder } => {
+                let segmented = segmenter.segment(&posed)?;
+                drop(stage);
+                let _stage = receipt.stage("features");
+                let settings = DescribeSettings { original: self.is_original() };
+                let described = describe(&picture, &segmented.map, encoder.as_ref(), settings)?;
+                (segmented, described.features, encoder.width(), described.single_segment)
+            }
+            Labeler::Teacher { teacher, .. } => {
+                let taught = teacher.teach(&posed)?;
+                (taught.segmented, taught.features, teacher.width(), false)
+            }
+        };
         let _stage = receipt.stage("cache");
         let made = Made {
             map: &segmented.map,
-            features: &described.features,
-            dim: encoder.width(),
+            features: &features,
+            dim,
             left_out: segmented.left_out,
-            single_segment: described.single_segment,
+            single_segment,
         };
         Ok((cache.keep(&frame.name, key, &made)?, camera))
     }

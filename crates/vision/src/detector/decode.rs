@@ -9,13 +9,16 @@ const BINS: usize = 11;
 const OTHERS: usize = 4;
 /// Scores below this say nothing.
 const LEAST: f32 = 0.05;
+/// How much surer a box has to be that covers the whole picture: what fills it is mostly a room that was taken for a thing.
+const LARGE: f32 = 0.2;
 
 /// What counts as found.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct DetectorSettings {
-    /// Least score, above 0.05, below 1.
+    /// Least score of a small box, above 0.05, below 1; one that covers the whole picture needs 0.2 more, others in
+    /// proportion.
     pub score: f32,
-    /// Of two boxes of one class that overlap by more than this (IoU, 0 to 1), the better one is kept.
+    /// Of two boxes that overlap by more than this (IoU, 0 to 1), whatever their classes, the better one is kept.
     pub overlap: f32,
     /// Parts of the picture on a side that are looked at beside the whole, 1 (none) to 4.
     pub tiles: u32,
@@ -141,6 +144,12 @@ pub(super) fn decode(
         let (x, y) = (middle(at % head.places), middle(at / head.places));
         let away = |side: usize| mean_bin(&distances[side * BINS..][..BINS]) * head.stride as f32;
         let area = [x - away(0), y - away(1), x + away(2), y + away(3)];
+        let side = (head.places * head.stride) as f32;
+        let along = |from: f32, to: f32| (to.min(side) - from.max(0.0)).max(0.0) / side;
+        let share = along(area[0], area[2]) * along(area[1], area[3]);
+        if best[0].1 < settings.score + LARGE * share {
+            continue;
+        }
         found.push(Detection { area, scores: best });
     }
     found
@@ -158,15 +167,13 @@ fn mean_bin(logits: &[f32]) -> f32 {
     (weighted / sum) as f32
 }
 
-/// Those that overlap no better one of their class, best first; equal scores keep their order.
+/// Those that overlap no better one, best first; equal scores keep their order.
 pub(super) fn keep_best(mut found: Vec<Detection>, settings: &DetectorSettings) -> Vec<Detection> {
     found.retain(|d| d.area[2] > d.area[0] && d.area[3] > d.area[1]);
     found.sort_by(|a, b| b.score().total_cmp(&a.score()));
     let mut kept: Vec<Detection> = Vec::new();
     for thing in found {
-        let covered = |k: &Detection| {
-            k.class() == thing.class() && iou(k.area, thing.area) > settings.overlap
-        };
+        let covered = |k: &Detection| iou(k.area, thing.area) > settings.overlap;
         if !kept.iter().any(covered) {
             kept.push(thing);
         }

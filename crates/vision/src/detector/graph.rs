@@ -7,7 +7,7 @@ use half::f16;
 use serde::Deserialize;
 use serde_json::Value;
 use std::collections::BTreeMap;
-use std::path::{Component, Path};
+use std::path::{Component, Path, PathBuf};
 use std::sync::Arc;
 
 /// What a file should be.
@@ -89,6 +89,8 @@ pub(super) struct Graph {
     last_use: Vec<usize>,
     /// Bytes of the weights.
     pub(super) bytes: usize,
+    /// The graph's file and those of its weights.
+    pub(super) files: Vec<PathBuf>,
 }
 
 impl Graph {
@@ -106,6 +108,10 @@ impl Graph {
         let bytes = weights.values().map(|t| 4 * t.len()).sum();
         let mut graph = Self::ordered(&file, weights).map_err(bad)?;
         graph.bytes = bytes;
+        let beside = file.weights_manifest.iter().flat_map(|group| &group.paths);
+        graph.files = std::iter::once(path.to_owned())
+            .chain(beside.map(|name| path.with_file_name(name)))
+            .collect();
         Ok(graph)
     }
 
@@ -187,7 +193,7 @@ impl Graph {
             node.inputs.iter().for_each(|(input, _)| last_use[*input] = at);
         }
         outputs.iter().for_each(|(_, (at, _))| last_use[*at] = usize::MAX);
-        let mut graph = Self { nodes, outputs, last_use, bytes: 0 };
+        let mut graph = Self { nodes, outputs, last_use, bytes: 0, files: Vec::new() };
         graph.prepare()?;
         Ok(graph)
     }

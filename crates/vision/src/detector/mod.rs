@@ -70,6 +70,16 @@ impl Detector {
         VisionError::Model { path: self.path.clone(), problem, help: HELP }
     }
 
+    /// What counts as found.
+    pub fn settings(&self) -> DetectorSettings {
+        self.settings
+    }
+
+    /// The files that it was read from, the graph first.
+    pub fn files(&self) -> &[PathBuf] {
+        &self.graph.files
+    }
+
     /// Bytes of its weights as they are computed with.
     pub fn bytes(&self) -> usize {
         self.graph.bytes

@@ -30,13 +30,30 @@ fn boxes_are_means_of_distances_around_the_middle_of_a_place() {
     let area = [12.0 - 20.0, 12.0 - 40.0, 12.0 + 60.0, 12.0 + 8.0];
     assert!((0..4).all(|k| (one.area[k] - area[k]).abs() < 1e-4), "{:?}", one.area);
     assert_eq!(one.scores, [(3, 0.9), (5, 0.4), (7, 0.4), (70, 0.07), (9, 0.06)]);
-    // Of exactly the limit is found.
-    let exact = DetectorSettings { score: 0.29, ..DetectorSettings::default() };
-    assert_eq!(decode(&head, &scores, &distances, &exact).len(), 2);
+    // Place 1, at (12, 4), reaches 5 steps of 8 to all sides: over all of the 16 pixels, so it needs 0.2 more.
+    let found = |score| {
+        let settings = DetectorSettings { score, ..DetectorSettings::default() };
+        decode(&head, &scores, &distances, &settings).len()
+    };
+    assert_eq!([found(0.0899), found(0.0901)], [2, 1]);
+    // The other one, from (−8, −28) to (72, 20), too.
+    assert_eq!([found(0.6999), found(0.7001)], [1, 0]);
+    // A box over a quarter of the picture needs 0.05 more.
+    let small = Head { scores: 0, distances: 1, places: 1, stride: 32 };
+    let mut sides = vec![-90.0; 44];
+    (sides[1], sides[12], sides[22], sides[33]) = (0.0, 0.0, 0.0, 0.0);
+    let mut one = vec![0.0; 80];
+    one[4] = 0.5;
+    let found = |score| {
+        decode(&small, &one, &sides, &DetectorSettings { score, ..DetectorSettings::default() })
+            .len()
+    };
+    // From (16 − 32, 16 − 32) to (16, 16): a quarter of it is inside.
+    assert_eq!([found(0.4499), found(0.4501)], [1, 0]);
 }
 
 #[test]
-fn of_boxes_of_one_class_that_overlap_the_best_is_kept() {
+fn of_boxes_that_overlap_the_best_is_kept() {
     // 10 × 10 each: shifted by 2 they share 80 of 120, by 3 70 of 130.
     let at = |x: f32| [x, 0.0, x + 10.0, 10.0];
     assert_eq!(iou(at(0.0), at(2.0)), 80.0 / 120.0);
@@ -49,11 +66,12 @@ fn of_boxes_of_one_class_that_overlap_the_best_is_kept() {
         thing([5.0, 5.0, 5.0, 9.0], 3, 0.9),
     ];
     let kept = keep_best(all.clone(), &DetectorSettings::default());
-    // The first is covered by the second; the third overlaps that by 0.54 only; the fourth is of another class; the last
-    // has no area.
-    assert_eq!(kept, [all[1].clone(), all[3].clone(), all[2].clone()]);
+    // The first and the fourth are covered by the second; the third overlaps that by 0.54 only; the last has no area.
+    assert_eq!(kept, [all[1].clone(), all[2].clone()]);
     let strict = DetectorSettings { overlap: 0.5, ..DetectorSettings::default() };
-    assert_eq!(keep_best(all.clone(), &strict), [all[1].clone(), all[3].clone()]);
+    assert_eq!(keep_best(all.clone(), &strict), [all[1].clone()]);
+    let loose = DetectorSettings { overlap: 0.99, ..DetectorSettings::default() };
+    assert_eq!(keep_best(all.clone(), &loose), [1, 0, 2].map(|i| all[i].clone()));
 }
 
 #[test]

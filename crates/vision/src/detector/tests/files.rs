@@ -13,7 +13,7 @@ fn refused(made: &Value, bytes: &[u8], file: &str, part: &str) {
 
 #[test]
 fn files_that_are_no_such_graph_are_refused_by_name() {
-    let good = miniature();
+    let good = miniature_detector();
     let (json, bytes) = (good.json(), &*good.bytes);
     let with = |edit: &dyn Fn(&mut Value)| {
         let mut json = json.clone();
@@ -116,7 +116,7 @@ fn files_that_are_no_such_graph_are_refused_by_name() {
 
 #[test]
 fn weights_are_read_in_every_form() {
-    let mut made = Made::default();
+    let mut made = GraphFile::default();
     made.node("picture", "Placeholder", &[], json!({}));
     let quantized = |name: &str, dtype: &str| {
         json!({"name": name, "shape": [2], "dtype": "float32",

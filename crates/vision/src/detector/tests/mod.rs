@@ -5,104 +5,8 @@ mod files;
 mod layers;
 
 use super::*;
+use scenesplat_test_support::graph_file::{GraphFile, miniature_detector};
 use serde_json::{Value, json};
-
-/// A model file in the making.
-#[derive(Default)]
-struct Made {
-    nodes: Vec<Value>,
-    weights: Vec<Value>,
-    bytes: Vec<u8>,
-    outputs: Vec<(&'static str, &'static str)>,
-}
-
-impl Made {
-    fn node(&mut self, name: &str, op: &str, input: &[&str], attr: Value) {
-        self.nodes.push(json!({"name": name, "op": op, "input": input, "attr": attr}));
-    }
-
-    fn constant(&mut self, weight: Value, bytes: impl IntoIterator<Item = u8>) {
-        self.nodes.push(json!({"name": weight["name"], "op": "Const", "attr": {}}));
-        self.weights.push(weight);
-        self.bytes.extend(bytes);
-    }
-
-    fn floats(&mut self, name: &str, shape: &[usize], values: &[f32]) {
-        let bytes = values.iter().flat_map(|v| v.to_le_bytes());
-        self.constant(json!({"name": name, "shape": shape, "dtype": "float32"}), bytes);
-    }
-
-    fn ints(&mut self, name: &str, values: &[i32]) {
-        let bytes = values.iter().flat_map(|v| v.to_le_bytes());
-        self.constant(json!({"name": name, "shape": [values.len()], "dtype": "int32"}), bytes);
-    }
-
-    fn json(&self) -> Value {
-        let outputs: serde_json::Map<String, Value> = self
-            .outputs
-            .iter()
-            .map(|(key, name)| ((*key).to_owned(), json!({"name": name})))
-            .collect();
-        json!({
-            "format": "graph-model",
-            "signature": {"inputs": {"picture": {"name": "picture:0"}}, "outputs": outputs},
-            "modelTopology": {"node": self.nodes},
-            "weightsManifest": [{"paths": ["made.bin"], "weights": self.weights}],
-        })
-    }
-
-    fn write(&self, folder: &Path) -> PathBuf {
-        let path = folder.join("made.json");
-        std::fs::write(&path, self.json().to_string()).unwrap();
-        std::fs::write(folder.join("made.bin"), &self.bytes).unwrap();
-        path
-    }
-}
-
-/// A detector of 13 × 13 places whose scores of cups (class 41) and chairs (56) follow from blue and red in the middle of
-/// each place: logits `blue - 2` and `red - 1`, all others −9. Boxes reach 1, 0, 2 and 3 strides to their sides.
-fn miniature() -> Made {
-    let mut made = Made::default();
-    made.node("picture", "Placeholder", &[], json!({}));
-    made.ints("rows", &[0, 2, 3, 1]);
-    made.node("pixels", "Transpose", &["picture", "rows"], json!({}));
-    let mut kernel = vec![half::f16::ZERO; 32 * 32 * 3 * 124];
-    let middle = (16 * 32 + 16) * 3;
-    kernel[middle * 124 + 41] = half::f16::ONE;
-    kernel[(middle + 2) * 124 + 56] = half::f16::ONE;
-    let kernel = kernel.iter().flat_map(|v| v.to_le_bytes());
-    let half = json!({"name": "kernel", "shape": [32, 32, 3, 124], "dtype": "float32",
-                      "quantization": {"dtype": "float16"}});
-    made.constant(half, kernel);
-    let valid =
-        json!({"padding": {"s": "VkFMSUQ="}, "strides": {"list": {"i": ["1", "32", "32", "1"]}}});
-    made.node("places", "Conv2D", &["pixels", "kernel"], valid);
-    let mut bias = vec![0.0; 124];
-    bias[..80].fill(-9.0);
-    (bias[41], bias[56]) = (-2.0, -1.0);
-    // Softmax of 60 beside 0 is 1.
-    for (side, bin) in [1, 0, 2, 3].into_iter().enumerate() {
-        bias[80 + side * 11 + bin] = 60.0;
-    }
-    made.floats("bias", &[124], &bias);
-    made.node("sum", "AddV2", &["places", "bias"], json!({}));
-    // A shape as exporters compute it: a default without an index, and a sum.
-    made.constant(json!({"name": "none", "shape": [0, 1], "dtype": "int32"}), []);
-    made.ints("three", &[3]);
-    made.constant(json!({"name": "nothing", "shape": [0], "dtype": "int32"}), []);
-    made.ints("zero", &[0]);
-    made.node("zeros", "SparseToDense", &["none", "three", "nothing", "zero"], json!({}));
-    made.ints("flat", &[1, 169, 124]);
-    made.node("shape", "AddV2", &["flat", "zeros"], json!({}));
-    made.node("list", "Reshape", &["sum", "shape"], json!({}));
-    made.ints("widths", &[80, 44]);
-    made.ints("axis", &[-1]);
-    made.node("parts", "SplitV", &["list", "widths", "axis"], json!({"num_split": {"i": "2"}}));
-    made.node("scores", "Sigmoid", &["parts"], json!({}));
-    made.node("distances", "Identity", &["parts:1", "^scores"], json!({}));
-    made.outputs = vec![("a", "distances:0"), ("b", "scores:0")];
-    made
-}
 
 fn sigmoid(x: f32) -> f32 {
     1.0 / (1.0 + (-x).exp())
@@ -111,10 +15,11 @@ fn sigmoid(x: f32) -> f32 {
 #[test]
 fn a_miniature_finds_a_cup_and_a_chair() {
     let folder = tempfile::tempdir().unwrap();
-    let path = miniature().write(folder.path());
+    let path = miniature_detector().write(folder.path());
     let settings = DetectorSettings { tiles: 1, ..DetectorSettings::default() };
     let detector = Detector::open(&path, settings).unwrap();
     assert_eq!(detector.bytes(), 4 * (4 + 32 * 32 * 3 * 124 + 124 + 1 + 1 + 3 + 2 + 1));
+    assert_eq!(detector.files(), [path.clone(), folder.path().join("made.bin")]);
     // Blue in the place of column 4, row 2, red in that of column 9, row 7; black elsewhere.
     let picture = RgbPicture::from_fn(416, 416, |x, y| match (x / 32, y / 32) {
         (4, 2) => [0, 0, 255],
@@ -152,7 +57,7 @@ fn a_miniature_finds_a_cup_and_a_chair() {
 #[test]
 fn tiles_look_closer_and_leave_out_what_they_cut() {
     let folder = tempfile::tempdir().unwrap();
-    let path = miniature().write(folder.path());
+    let path = miniature_detector().write(folder.path());
     let open =
         |tiles| Detector::open(&path, DetectorSettings { tiles, ..DetectorSettings::default() });
     // A red spot of 24 pixels at (1016, 1016) of 1248: the whole picture has a place each 96 pixels, whose middles are

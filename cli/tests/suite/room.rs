@@ -1,0 +1,120 @@
+//! `room`: from the frames of a scan to labels, objects and a page, in one command that can be stopped.
+
+use crate::prepare_frames::{Shot, film, rgbd};
+use crate::support::*;
+use scenesplat::scene::formats::npy::NpyFile;
+use scenesplat::scene::picture::RgbPicture;
+use scenesplat_test_support::graph_file::miniature_detector;
+use std::process::Output;
+
+const RESULTS: [&str; 4] = ["scene.ply", "labels.npy", "objects.json", "room.html"];
+
+fn room(folder: &Folder, more: &str) -> Output {
+    let words = "room @scan --out @room --steps 5 --gaussians 2000 --threads 2 ";
+    line(&(words.to_owned() + more).replace('@', &folder.at("")))
+}
+
+fn results(folder: &Folder) -> [Vec<u8>; 4] {
+    RESULTS.map(|name| bytes(folder.path("room").join(name)))
+}
+
+#[test]
+fn a_scan_becomes_a_room_and_what_was_done_before_is_kept() {
+    let folder = Folder::new();
+    let mut shots = film(&folder);
+    rgbd(&folder, &shots);
+    let output = room(&folder, "");
+    has(&told(&output), &["1 of 5: frames\n", "2 of 5: scene\n", "5 of 5: page\n"]);
+    has(&stdout(&output), &["room/room.html in a browser", "objects", "--find"]);
+    let first = results(&folder);
+    let labels = NpyFile::open(&folder.path("room/labels.npy")).unwrap();
+    assert!(labels.shape()[0] > 100);
+    let receipt = json(folder.path("room/receipt.json"));
+    assert!(receipt.to_string().contains("stage/scene"), "{receipt}");
+
+    // Nothing is made again, and the results are the same.
+    let said = told(&room(&folder, ""));
+    has(&said, &["1 of 5: frames, done before", "5 of 5: page, done before"]);
+    assert!(results(&folder) == first);
+    // As after a stop while the labels were made: what comes after them is made anew, too.
+    for stage in ["labels", "page"] {
+        std::fs::remove_dir_all(folder.path("room").join(stage)).unwrap();
+    }
+    let said = told(&room(&folder, ""));
+    has(&said, &["2 of 5: scene, done before", "3 of 5: labels\n", "4 of 5: objects\n"]);
+    assert!(results(&folder)[..3] == first[..3]);
+    // Other settings, and other frames.
+    let said = told(&room(&folder, "--max-frames 7"));
+    has(&said, &["1 of 5: frames\n", "7 frames", "2 of 5: scene\n"]);
+    shots.pop();
+    std::fs::remove_dir_all(folder.path("scan")).unwrap();
+    rgbd(&folder, &shots);
+    let said = told(&room(&folder, "--max-frames 7"));
+    has(&said, &["1 of 5: frames\n", "2 of 5: scene\n"]);
+    assert!(results(&folder)[0] != first[0]);
+
+    // A posed folder needs no first stage.
+    let posed = folder.at("room/frames");
+    let out = folder.at("posed");
+    let said =
+        told(&line(&format!("room {posed} --out {out} --steps 5 --gaussians 2000 --threads 2")));
+    has(&said, &["1 of 4: scene", "4 of 4: page"]);
+    assert!(bytes(folder.path("posed/scene.ply")) == results(&folder)[0]);
+    folder.write("none/a.txt", "");
+    all_refused(
+        [
+            ("@none --out @out", 2, "is no scan in a layout that is read (scannet, scannetpp"),
+            ("@room/frames --layout rgbd --out @out", 2, "has cameras.json"),
+            ("@scan --layout replica --out @out", 1, "cam_params.json"),
+        ],
+        |words: &str| line(&format!("room {words}").replace('@', &folder.at(""))),
+    );
+}
+
+#[test]
+fn what_a_detector_finds_overrules_the_network() {
+    let folder = Folder::new();
+    let mut shots: Vec<Shot> = film(&folder);
+    // All that the detector of tests takes for a chair is red: a place of its grid in the middle of each photo.
+    let photo = RgbPicture::from_fn(64, 48, |x, y| {
+        if (29..35).contains(&x) && (22..27).contains(&y) { [250, 0, 0] } else { [0; 3] }
+    });
+    shots.iter_mut().for_each(|shot| shot.color = photo.encode_png().unwrap());
+    rgbd(&folder, &shots);
+    let detector = miniature_detector().write(folder.root());
+    let output = room(&folder, &format!("--detector {}", detector.display()));
+    has(&told(&output), &["3 of 6: taught", "Gaussians that the teacher names"]);
+    has(&stdout(&output), &["--taught"]);
+    let read = |name: &str| NpyFile::open(&folder.path(name)).unwrap();
+    let valid = read("room/taught/valid_feat_mask.npy").read_u8().unwrap();
+    let labels = read("room/labels.npy").read_i64().unwrap();
+    let names = json(folder.path("room/labels/classes.json"));
+    let chair = names.as_array().unwrap().iter().position(|name| name == "chair").unwrap();
+    let named = valid.iter().filter(|valid| **valid == 1).count();
+    assert!(named > 0 && named < valid.len(), "{named} of {}", valid.len());
+    let all_chairs =
+        valid.iter().zip(&labels).all(|(valid, label)| *valid == 0 || *label == chair as i64);
+    assert!(all_chairs, "what the teacher names is a chair");
+
+    // A teacher of another scene, and one beside the scene's own labels.
+    let scene = folder.at("scene.ply");
+    all_refused(
+        [
+            ("segment @scene.ply --taught @room/taught --out @out", 1, "rows, the scene"),
+            ("segment @scene.ply --taught @scan --out @out", 1, "classes.safetensors"),
+            ("collect-labels @scene.ply --render 2 --teacher detector --out @out", 2, "--detector"),
+            ("collect-labels @scene.ply --render 2 --detector x.json --out @out", 2, "--teacher"),
+            (
+                "collect-labels @scene.ply --render 2 --teacher detector --detector @none.json --out @out",
+                1,
+                "none.json",
+            ),
+            (
+                "collect-labels @scene.ply --render 2 --teacher detector --detector @made.json --detector-score 2 --out @out",
+                1,
+                "score of a detector is 2",
+            ),
+        ],
+        |words: &str| line(&words.replace("@scene.ply", &scene).replace('@', &folder.at(""))),
+    );
+}
