@@ -9,6 +9,7 @@ mod chunk;
 mod codes;
 mod collect_end_to_end;
 mod collect_labels;
+mod command_line;
 mod commands;
 mod compare;
 mod convert;

@@ -7,6 +7,7 @@ use crate::flags::Running;
 use crate::progress::{interrupted, listen_for_interrupt};
 use crate::terminal::{note_warning, print};
 use crate::threads::set_threads;
+use crate::version;
 use anyhow::{Context, Result, anyhow};
 use scenesplat::experiment::{
     ExperimentConfig, ExperimentError, RunOptions, RunReport, train_together,
@@ -114,7 +115,7 @@ pub fn run(args: &Args) -> Result<()> {
             quiet: args.running.quiet,
             stop,
             device: device.device,
-            commit: option_env!("SCENESPLAT_COMMIT").map(str::to_owned),
+            commit: version::COMMIT.map(str::to_owned),
         },
         Rc::clone(&ranks),
     )
