@@ -31,6 +31,7 @@ mod probe;
 mod query;
 mod reconstruct;
 mod render;
+mod schema;
 mod segment;
 mod simulate;
 mod text;
@@ -124,6 +125,8 @@ enum Command {
     Chunk(chunk::Args),
     /// Says what is in a checkpoint and which network it fits.
     Weights(weights::Args),
+    /// Prints a JSON schema of the files that `train` or `pareto` reads, for editors.
+    Schema(schema::Args),
     /// Measures the speed of this machine.
     Bench(bench::Args),
     /// Runs hard cases on this machine: damaged files, numbers at the edge, operators against f64.
@@ -252,6 +255,7 @@ impl Command {
             Self::Prepare(args) => prepare::run(args, line),
             Self::Chunk(args) => chunk::run(args),
             Self::Weights(args) => weights::run(args, line),
+            Self::Schema(args) => schema::run(args),
             Self::Bench(args) => bench::run(args),
             Self::Doctor(args) => doctor::run(args),
             Self::Pareto(args) => pareto::run(args),

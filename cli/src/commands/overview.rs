@@ -18,7 +18,7 @@ const fn row(group: &'static str, path: &'static str, example: &'static str) -> 
 }
 
 /// All commands, in the order in which the help shows them.
-const ROWS: [Row; 33] = [
+const ROWS: [Row; 34] = [
     row("Look", "inspect", "scenesplat inspect scene.ply --json scene.json"),
     row("Look", "view", "scenesplat view room.ply --out room.html"),
     row("Look", "render", "scenesplat render scene.ply --cameras cameras.json --out pictures"),
@@ -82,6 +82,7 @@ const ROWS: [Row; 33] = [
     row("Train", "chunk", "scenesplat chunk scenes --out chunks"),
     row("Train", "codes", "scenesplat codes runs/codes/model scenes/kitchen --out coded"),
     row("Train", "weights", "scenesplat weights model.pth"),
+    row("Train", "schema", "scenesplat schema train > train.schema.json"),
     row(
         "Pictures",
         "optimise",

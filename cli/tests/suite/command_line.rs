@@ -198,7 +198,7 @@ fn colors_can_be_switched_off() {
 fn a_report_of_a_bug_has_what_is_needed_and_no_paths() {
     let mut program = program();
     program.args(["doctor", "--report"]).env("SCENESPLAT_ISA", "avx2");
-    program.env("HOME", "/home/somebody").env("SCENESPLAT_FRONTS", "/home/somebody/fronts");
+    program.env("HOME", "/srv/somebody").env("SCENESPLAT_FRONTS", "/srv/somebody/fronts");
     let said = printed(&program.output().unwrap());
     has(
         &said,
@@ -210,4 +210,14 @@ fn a_report_of_a_bug_has_what_is_needed_and_no_paths() {
     assert!(!said.contains(folder), "{said}");
     refused(&run!("doctor --report --full"), 2, &["--full"]);
     refused(&run!("doctor --report --json report.json"), 2, &["--json"]);
+}
+
+#[test]
+fn schemas_are_printed() {
+    for (of, part) in [("train", "early_stopping"), ("grid", "neutral")] {
+        let schema: Value = serde_json::from_str(&printed(&run!("schema {of}"))).unwrap();
+        assert!(schema["properties"][part].is_object(), "{of}: {schema}");
+        assert_eq!(schema["additionalProperties"], false);
+    }
+    refused(&run!("schema tarin"), 2, &["'train'"]);
 }

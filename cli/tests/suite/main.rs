@@ -38,4 +38,5 @@ mod support;
 mod text;
 mod text_model;
 mod training;
+mod trials;
 mod upright;

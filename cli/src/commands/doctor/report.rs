@@ -114,7 +114,7 @@ mod tests {
     fn variables_are_named_and_paths_in_them_are_not_shown() {
         let value = |name: &str| match name {
             "SCENESPLAT_ISA" => Some("avx2".to_owned()),
-            "SCENESPLAT_FRONTS" => Some("/home/somebody/fronts".to_owned()),
+            "SCENESPLAT_FRONTS" => Some("/srv/somebody/fronts".to_owned()),
             _ => None,
         };
         assert_eq!(variables(value), "SCENESPLAT_FRONTS (set), SCENESPLAT_ISA=avx2");
