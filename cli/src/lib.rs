@@ -8,12 +8,14 @@
 mod bench;
 mod budget;
 mod commands;
+mod defaults;
 mod duration;
 mod effects;
 mod error;
 mod flags;
 mod frame;
 mod label_ids;
+mod log;
 mod outputs;
 mod progress;
 mod receipt;
@@ -22,13 +24,23 @@ mod setting;
 mod surfaces;
 mod terminal;
 mod threads;
+mod version;
 
-pub use commands::run;
 use std::ffi::OsString;
+use std::path::Path;
 pub use terminal::Captured;
 
-/// Runs the program as [`run`] does, and gives its exit code with what it printed on this thread instead of printing
-/// it. Child processes and libraries print as usual.
-pub fn run_captured(args: impl IntoIterator<Item = OsString>) -> (u8, Captured) {
-    terminal::captured(|| run(args))
+/// Runs the program on the given arguments, the first of which is its name, with the file of defaults that this process
+/// finds (docs/command_line.md). Gives the exit code.
+pub fn run(args: impl IntoIterator<Item = OsString>) -> u8 {
+    commands::run(args, defaults::find().as_deref())
+}
+
+/// Runs the program as [`run`] does, with this file of defaults instead, and gives its exit code with what it printed on
+/// this thread instead of printing it. Child processes and libraries print as usual.
+pub fn run_captured(
+    args: impl IntoIterator<Item = OsString>,
+    defaults: Option<&Path>,
+) -> (u8, Captured) {
+    terminal::captured(|| commands::run(args, defaults))
 }

@@ -1,11 +1,12 @@
 //! What a long command shows: a bar on a terminal, plain lines elsewhere; and stopping on Ctrl-C or SIGTERM.
 
 use crate::flags::Running;
-use crate::terminal::{is_terminal, note_warning, tell_line};
+use crate::log::{self, Level, Stage};
+use crate::terminal::{is_terminal, note_warning, say, tell};
 use crate::threads::set_threads;
 use anyhow::Result;
 use indicatif::{ProgressBar, ProgressStyle};
-use scenesplat::scene::{printable, printable_text};
+use scenesplat::scene::printable;
 use signal_hook::consts::{SIGINT, SIGTERM};
 use signal_hook::flag;
 use std::cell::RefCell;
@@ -67,7 +68,7 @@ impl Progress {
     pub fn new(quiet: bool) -> Self {
         Self {
             quiet,
-            terminal: is_terminal(),
+            terminal: is_terminal() && !log::is_json(),
             bar: RefCell::default(),
             last_line: RefCell::new((Instant::now(), String::new())),
         }
@@ -78,9 +79,14 @@ impl Progress {
         if self.quiet {
             return;
         }
+        self.put(Level::Info, text.as_ref());
+    }
+
+    /// Writes a message above the bar, if there is one.
+    fn put(&self, level: Level, text: &str) {
         match self.bar.borrow().as_ref() {
-            Some(bar) => bar.println(printable_text(text.as_ref())),
-            None => tell_line(text.as_ref()),
+            Some(bar) => bar.println(log::line_of(level, text)),
+            None => say(level, text),
         }
     }
 
@@ -88,11 +94,7 @@ impl Progress {
     pub fn warn(&self, text: &str) -> bool {
         let is_new = note_warning(text);
         if is_new {
-            let line = format!("warning: {text}");
-            match self.bar.borrow().as_ref() {
-                Some(bar) => bar.println(printable_text(&line)),
-                None => tell_line(&line),
-            }
+            self.put(Level::Warning, text);
         }
         is_new
     }
@@ -119,7 +121,9 @@ impl Progress {
         let mut last = self.last_line.borrow_mut();
         if last.1 != step || last.0.elapsed() >= LINE_EVERY {
             *last = (Instant::now(), step.to_owned());
-            tell_line(&format!("{step}: {:.0} %", done * 100.0));
+            let text = format!("{step}: {:.0} %", done * 100.0);
+            let stage = Stage { name: step, done, total: 1.0 };
+            tell(format!("{}\n", log::line_of_stage(stage, &text, Default::default())).as_bytes());
         }
     }
 

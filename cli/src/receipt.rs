@@ -4,6 +4,7 @@
 //! A [`Receipt`] records while the command runs; [`Receipt::finish`] gives a [`ReceiptReport`],
 //! which prints as a table and is written as JSON.
 
+use crate::defaults::{self, Taken};
 use scenesplat::alignment::AlignmentReport;
 use scenesplat::datasets::effects::plan::{EffectDecision, EffectPlan, PlanSection};
 use scenesplat::effect_costs::FoundEffect;
@@ -92,6 +93,9 @@ pub struct ReceiptReport {
     pub bytes_written: u64,
     /// Settings that changed the result.
     pub settings: Vec<SettingUsed>,
+    /// Flags that a file of defaults gave, and which file.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub defaults: Vec<SettingUsed>,
     /// Warnings and repairs, in the order in which they came up.
     pub warnings: Vec<String>,
     /// Weights and inputs.
@@ -176,12 +180,25 @@ pub struct FileFingerprint {
     pub sha256: String,
 }
 
+/// The flags that a file gave to the command of this thread.
+fn of_file() -> Vec<SettingUsed> {
+    let Some((file, taken)) = defaults::taken() else { return Vec::new() };
+    let why = file.display().to_string();
+    let used = |Taken { flag, value }: Taken| SettingUsed {
+        name: format!("--{flag}"),
+        value: value.unwrap_or_else(|| "true".to_owned()),
+        why: why.clone(),
+    };
+    taken.into_iter().map(used).collect()
+}
+
 impl Receipt {
     /// Starts the clock.
     pub fn new(command: impl Into<String>) -> Self {
         let report = ReceiptReport {
             command: command.into(),
             machine: Machine::detect(),
+            defaults: of_file(),
             ..ReceiptReport::default()
         };
         Self {
@@ -443,6 +460,9 @@ impl fmt::Display for ReceiptReport {
         let value_width = widths.filter(|&width| width <= WIDEST_COLUMN).max().unwrap_or(0);
         for SettingUsed { name, value, why } in &self.settings {
             writeln!(f, "  set {name:name_width$} = {value:value_width$}  {why}")?;
+        }
+        for SettingUsed { name, value, why } in &self.defaults {
+            writeln!(f, "  {name} {value} by {why}")?;
         }
         for file in &self.files {
             let hash = file.sha256.get(..16).unwrap_or(&file.sha256);

@@ -1,5 +1,6 @@
 //! What goes to standard output and error, and small text files.
 
+use crate::log::{self, Level};
 use anyhow::{Context, Result, bail};
 use scenesplat::scene::{AtomicFile, printable_text};
 use std::cell::{Cell, RefCell};
@@ -72,15 +73,18 @@ pub fn tell(text: &[u8]) {
     });
 }
 
-/// Writes a line to standard error.
-pub fn tell_line(text: &str) {
-    tell(format!("{}\n", printable_text(text)).as_bytes());
+/// Writes a message to standard error.
+pub fn say(level: Level, text: &str) {
+    tell(format!("{}\n", log::line_of(level, text)).as_bytes());
 }
 
 /// Writes clap's help, version or error, in color on a terminal.
 pub fn print_usage(usage: &clap::Error) {
     let text = usage.render();
-    if CAPTURED.with_borrow(Option::is_none) {
+    if usage.use_stderr() && log::is_json() {
+        let text = text.to_string();
+        say(Level::Error, text.trim_start_matches("error: "));
+    } else if CAPTURED.with_borrow(Option::is_none) {
         let written = usage.print();
         // Help is no result: who stops reading it has read enough.
         let is_lost = |e: &Error| !usage.use_stderr() && e.kind() != ErrorKind::BrokenPipe;
@@ -147,13 +151,14 @@ pub fn check_output() -> Result<()> {
 
 /// Writes an error with all its causes to standard error.
 pub fn print_error(error: &anyhow::Error) {
-    tell_line(&format!("error: {}", without_waiting_names(&format!("{error:#}"))));
+    say(Level::Error, &without_waiting_names(&format!("{error:#}")));
     let missing = scenesplat::models::missing_kernels();
     if !missing.is_empty() {
-        tell_line(&format!(
+        let text = format!(
             "an operation asked for CUDA kernels that this program has not: {} (docs/devices.md); compute on cpu",
             missing.join(", ")
-        ));
+        );
+        say(Level::Info, &text);
     }
 }
 

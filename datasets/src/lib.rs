@@ -20,7 +20,8 @@ pub mod from_points;
 pub mod full_scene;
 pub mod input_features;
 pub mod left_out;
-pub mod loader;
+pub mod limits;
+mod loader;
 pub mod masking;
 pub mod mix3d;
 pub mod plan;
@@ -44,6 +45,7 @@ pub use from_points::{PointSettings, SurfacePoints, estimate_normals, gaussians_
 pub use full_scene::FullScene;
 pub use input_features::{InputChannel, InputFeatures, Orientation};
 pub use left_out::{LeftOut, RepairedScene};
+pub use limits::{Amount, LimitedLoader, SomeScenes};
 pub use loader::{BatchLoader, BatchPart, BrokenScenes, LoaderSettings, SceneLoader, SkippedScene};
 pub use masking::{MaskShape, MaskWeight, Masked, Masking};
 pub use mix3d::mix_pairs;

@@ -10,7 +10,7 @@ use crate::rng::{Purpose, permutation, purpose_rng};
 use crate::{DataError, Dataset, InputFeatures, LeftOut, TrainBatch};
 use assembly::Assembly;
 use serde::{Deserialize, Serialize};
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::sync::{Arc, Mutex, PoisonError};
 
 /// Gives the batches of one epoch after the other.
@@ -225,6 +225,12 @@ impl SceneLoader {
         // What a batch holds depends on its place in the epoch, whoever asks for it.
         let plan = plan.skip(skip).filter(|(place, _)| wanted(*place)).collect();
         SceneBatches::start(&self.assembly, &self.skipped, epoch, plan)
+    }
+
+    /// Names of the scenes in the first batches of an epoch.
+    pub fn scenes(&self, epoch: u64, batches: usize) -> BTreeSet<String> {
+        let samples = self.plan(epoch).into_iter().take(batches).flatten();
+        samples.map(|sample| self.assembly.dataset.id(sample).to_owned()).collect()
     }
 
     /// The scenes of each batch of an epoch.

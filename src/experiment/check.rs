@@ -2,6 +2,7 @@
 
 use super::config::{ExperimentConfig, TargetChoice, Task};
 use super::error::{ExperimentError, Place};
+use super::limits::check_limits;
 use scenesplat_datasets::TransformConfig;
 use scenesplat_losses::{ClassSourceConfig, LossConfig};
 use scenesplat_metrics::MAX_VOTERS;
@@ -35,7 +36,15 @@ impl ExperimentConfig {
         refuse(&[
             (patience == Some(0), "early_stopping.patience", "0, expected 1 or more"),
             (self.train.is_empty(), "train", "at least one dataset is needed"),
+            (
+                self.early_stopping
+                    .as_ref()
+                    .is_some_and(|e| !(e.min_delta >= 0.0 && e.min_delta.is_finite())),
+                "early_stopping.min_delta",
+                "expected 0 or more",
+            ),
         ])?;
+        check_limits(self)?;
         check_views(self)?;
         check_self_supervised(self)?;
         check_autoencoder(self)?;

@@ -28,7 +28,7 @@ pub(super) fn evaluators(
     text: Option<&ClassTexts>,
 ) -> Result<Vec<Box<dyn Evaluator<AutoencoderTask>>>> {
     let mut all: Vec<Box<dyn Evaluator<AutoencoderTask>>> = Vec::new();
-    for entry in &config.evaluate {
+    for entry in &config.evaluations() {
         let own = entry.text.as_ref().map(data::text_table).transpose()?;
         let table = own.as_ref().or(text).map(|text| text.table.clone());
         let width = config.autoencoder.as_ref().and_then(|a| a.widths.first().copied());

@@ -9,6 +9,7 @@ use scenesplat_datasets::{InputFeatures, LoaderSettings, MixRule, SourceConfig};
 use scenesplat_kernels::settings;
 use scenesplat_losses::LossConfig;
 use scenesplat_models::{Compute, ModelConfig};
+use scenesplat_trainers::callbacks::EarlyStopping;
 use scenesplat_trainers::tasks::autoencoder::AutoencoderConfig;
 use scenesplat_trainers::tasks::self_supervised::SelfSupervisedConfig;
 use scenesplat_trainers::{
@@ -17,6 +18,7 @@ use scenesplat_trainers::{
 use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
 
+use super::limits::LimitsConfig;
 use super::teacher::TeacherConfig;
 use file::{read_table, set};
 
@@ -89,6 +91,10 @@ pub struct ExperimentConfig {
     /// Ends the run when it no longer gets better.
     #[serde(default)]
     pub early_stopping: Option<EarlyStoppingConfig>,
+    /// Less data than there is.
+    // Not written where there is none: runs from before it was there go on.
+    #[serde(default, skip_serializing_if = "LimitsConfig::is_off")]
+    pub limits: LimitsConfig,
 }
 
 fn f32_name() -> String {
@@ -262,6 +268,22 @@ pub struct EarlyStoppingConfig {
     /// Whether a smaller value is better.
     #[serde(default)]
     pub smaller_is_better: bool,
+    /// Only what is better by more than this counts as better.
+    // Not written where it is off, as above.
+    #[serde(default, skip_serializing_if = "is_zero")]
+    pub min_delta: f64,
+}
+
+impl EarlyStoppingConfig {
+    /// What stops the run.
+    pub(super) fn callback(&self) -> EarlyStopping {
+        EarlyStopping::new(self.measurement.clone(), self.patience, self.smaller_is_better)
+            .with_min_delta(self.min_delta)
+    }
+}
+
+fn is_zero(value: &f64) -> bool {
+    *value == 0.0
 }
 
 /// The steps that a scene goes through.

@@ -9,8 +9,8 @@ use crate::text::{class_list, read_text_table};
 use scenesplat_datasets::teacher::steps_after_look;
 use scenesplat_datasets::transforms::{LimitLabels, build_transforms};
 use scenesplat_datasets::{
-    BatchLoader, Dataset, SceneLoader, SceneTeacher, SourceConfig, TeacherView, TrainBatch,
-    WeightedMix,
+    BatchLoader, Dataset, SceneLoader, SceneTeacher, SomeScenes, SourceConfig, TeacherView,
+    TrainBatch, WeightedMix,
 };
 use scenesplat_rooms::CLASSES;
 use scenesplat_rooms::vocabulary::Vocabulary;
@@ -28,27 +28,32 @@ pub fn loader(
     config: &ExperimentConfig,
     teacher: Option<&Teacher>,
 ) -> Result<Box<dyn BatchLoader<TrainBatch>>> {
-    let open = |entry: &TrainDataConfig| -> Result<SceneLoader> {
-        let data = dataset(
-            &entry.source,
-            &entry.transforms,
-            config.model.grid_size,
-            entry.labels,
-            entry.seed,
-            entry.repeat,
-            teacher.map(|teacher| &teacher.train),
-        )?;
-        Ok(SceneLoader::new(data, config.input.clone(), config.loader.clone())?)
-    };
     let mut loaders = Vec::with_capacity(config.train.len());
     for (i, entry) in config.train.iter().enumerate() {
-        loaders.push(open(entry).at(|| format!("train[{i}]"))?);
+        loaders.push(scene_loader(config, entry, teacher).at(|| format!("train[{i}]"))?);
     }
     if loaders.len() == 1 && config.train[0].weight == 1 {
-        return Ok(Box::new(loaders.remove(0)));
+        return Ok(config.limits.of_loader(Box::new(loaders.remove(0))));
     }
     let weights = config.train.iter().map(|entry| entry.weight).collect();
-    Ok(Box::new(WeightedMix::new(loaders, weights, config.mix)?))
+    Ok(config.limits.of_loader(Box::new(WeightedMix::new(loaders, weights, config.mix)?)))
+}
+
+fn scene_loader(
+    config: &ExperimentConfig,
+    entry: &TrainDataConfig,
+    teacher: Option<&Teacher>,
+) -> Result<SceneLoader> {
+    let data = dataset(
+        &entry.source,
+        &entry.transforms,
+        config.model.grid_size,
+        entry.labels,
+        entry.seed,
+        entry.repeat,
+        teacher.map(|teacher| &teacher.train),
+    )?;
+    Ok(SceneLoader::new(data, config.input.clone(), config.loader.clone())?)
 }
 
 /// Scenes of an evaluation, with the rows of a teacher, if there is one.
@@ -62,8 +67,18 @@ pub fn evaluation(
 ) -> Result<Arc<dyn Dataset>> {
     let source = entry.source.clone().for_evaluation();
     let teacher = teacher.map(|teacher| &teacher.evaluate);
-    dataset(&source, &entry.transforms, config.model.grid_size, None, 0, 1, teacher)
-        .at(|| format!("evaluate {:?}", entry.name))
+    let mut data = dataset(&source, &entry.transforms, config.model.grid_size, None, 0, 1, teacher)
+        .at(|| format!("evaluate {:?}", entry.name))?;
+    if let (Some(batches), Some(train)) = (config.limits.overfit, config.train.first()) {
+        let seen =
+            scene_loader(config, train, None).at(|| "train[0]".to_owned())?.scenes(0, batches);
+        data = Arc::new(SomeScenes::named(data, |id| seen.contains(id)));
+    }
+    if let Some(amount) = config.limits.evaluate {
+        let count = amount.of(data.len());
+        data = Arc::new(SomeScenes::new(data, 0..count));
+    }
+    Ok(data)
 }
 
 fn dataset(
@@ -161,7 +176,7 @@ pub fn check_classes(config: &ExperimentConfig, text: Option<&ClassTexts>) -> Re
     for (i, entry) in config.train.iter().enumerate() {
         check(&entry.source, used_in_training, text).at(|| format!("train[{i}]"))?;
     }
-    for entry in &config.evaluate {
+    for entry in &config.evaluations() {
         let own = entry.text.as_ref().map(text_table).transpose()?;
         check(&entry.source, true, own.as_ref().or(text))
             .at(|| format!("evaluate {:?}", entry.name))?;

@@ -9,13 +9,23 @@ mod error;
 pub mod export;
 pub mod furniture;
 pub mod identity;
+mod limits;
+pub mod lr_search;
 mod measured;
+mod module;
 mod record;
 mod run;
 pub mod teacher;
+mod trial;
 
 pub use config::ExperimentConfig;
 pub use error::ExperimentError;
 pub use export::exported_checkpoint;
 pub use identity::{MAY_CHANGE, identity};
-pub use run::{RunOptions, RunReport, train, train_together};
+pub use limits::LimitsConfig;
+pub use lr_search::{LrReport, search_lr};
+pub use run::{MakeConsole, RunOptions, RunReport, train, train_together};
+pub use trial::{TrialReport, try_out};
+
+/// A JSON schema of experiments' files, for editors. A test makes it of what the program takes.
+pub const SCHEMA: &str = include_str!("train.schema.json");

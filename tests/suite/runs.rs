@@ -40,7 +40,7 @@ pub fn run_until(
     let options = RunOptions {
         out: out.to_owned(),
         resume,
-        quiet: true,
+        console: None,
         stop: Arc::new(AtomicBool::new(stop)),
         device: candle_core::Device::Cpu,
         commit: None,

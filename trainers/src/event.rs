@@ -128,6 +128,24 @@ pub trait Callback: Send {
     }
 }
 
+impl<C: Callback + ?Sized> Callback for Box<C> {
+    fn on_event(&mut self, event: &Event<'_>, at: Progress) -> Result<Flow, TrainError> {
+        (**self).on_event(event, at)
+    }
+
+    fn waits_for(&self) -> Option<(&'static str, &Criterion)> {
+        (**self).waits_for()
+    }
+
+    fn state(&self) -> Option<(&'static str, serde_json::Value)> {
+        (**self).state()
+    }
+
+    fn load_state(&mut self, state: &serde_json::Value) -> Result<(), TrainError> {
+        (**self).load_state(state)
+    }
+}
+
 /// Scores a module, on data of its own.
 pub trait Evaluator<M: ?Sized>: Send {
     /// Prefix of its measurements, `snake_case`.

@@ -53,6 +53,7 @@ mod freeze;
 pub mod gradients;
 mod health;
 mod identity;
+mod lr_finder;
 mod module;
 pub mod optim;
 mod selection;
@@ -67,6 +68,7 @@ pub use data_module::DataModule;
 pub use error::TrainError;
 pub use event::{Callback, End, Evaluator, Event, Flow, Progress};
 pub use identity::{Change, Identity};
+pub use lr_finder::{LrCurve, LrFinderConfig, LrPoint, find_lr};
 pub use module::{AfterStep, HasBackbone, StepContext, StepOutput, TrainingModule};
 pub use optim::{
     AdamW, AdamWConfig, CosineSchedule, KeywordGroup, OneCycle, Optimizer, ParamGroup, Schedule,

@@ -1,6 +1,7 @@
 //! Each row of `bench` in a process of its own, so that none is slowed by what another left behind.
 
 use super::{Measured, Request, Stopped, measure};
+use crate::defaults::FILE_VARIABLE;
 use crate::error::WrongUse;
 use crate::progress::interrupted;
 use crate::terminal::{print, this_program};
@@ -68,6 +69,8 @@ pub fn run_in_a_process(args: &[&str], variables: &[(&str, &str)]) -> Result<Str
     let child = Command::new(this_program()?)
         .args(args)
         .envs(variables.iter().copied())
+        // The words say all that it is to do.
+        .env(FILE_VARIABLE, "")
         // Its end tells the process that this one is gone.
         .stdin(Stdio::piped())
         .stdout(Stdio::piped())

@@ -7,6 +7,7 @@ mod classes;
 mod codes;
 mod collect_labels;
 mod compare;
+mod completions;
 mod convert;
 mod curate;
 mod demo;
@@ -16,11 +17,13 @@ mod features;
 mod inspect;
 mod labelled;
 mod lift_labels;
+mod man;
 mod many;
 mod meant;
 mod merge;
 mod objects;
 mod optimise;
+mod overview;
 mod pareto;
 mod phrase;
 mod prepare;
@@ -29,6 +32,7 @@ mod query;
 mod reconstruct;
 mod render;
 mod room;
+mod schema;
 mod segment;
 mod simulate;
 mod text;
@@ -36,21 +40,38 @@ mod train;
 mod view;
 mod weights;
 
+use crate::defaults::{self, Defaults};
 use crate::error::{Saved, WrongUse};
-use crate::terminal;
+use crate::log::{self, Level, LogFormat};
+use crate::{terminal, version};
+use anyhow::Result;
 use clap::error::ErrorKind;
 use clap::{CommandFactory, FromArgMatches, Parser, Subcommand};
 use std::ffi::OsString;
+use std::path::Path;
 
 /// Language features, labels and queries for scenes of 3D Gaussians, on a plain CPU.
 #[derive(Debug, Parser)]
-#[command(name = "scenesplat", version, about)]
+#[command(name = "scenesplat", version, long_version = version::long(), about)]
 struct Cli {
     #[command(subcommand)]
     command: Command,
     /// Fails where there is a warning; no results are put in place then.
     #[arg(long, global = true)]
     warnings_as_errors: bool,
+    /// Form of messages and progress on standard error: text, or json, one object a line.
+    #[arg(
+        long,
+        global = true,
+        value_enum,
+        value_name = "text|json",
+        default_value_t,
+        hide_possible_values = true
+    )]
+    log_format: LogFormat,
+    /// Takes no values of flags from a file (scenesplat.toml; docs/command_line.md).
+    #[arg(long, global = true)]
+    no_config: bool,
 }
 
 #[derive(Debug, Subcommand)]
@@ -107,23 +128,43 @@ enum Command {
     Chunk(chunk::Args),
     /// Says what is in a checkpoint and which network it fits.
     Weights(weights::Args),
+    /// Prints a JSON schema of the files that `train` or `pareto` reads, for editors.
+    Schema(schema::Args),
     /// Measures the speed of this machine.
     Bench(bench::Args),
     /// Runs hard cases on this machine: damaged files, numbers at the edge, operators against f64.
     Doctor(doctor::Args),
     /// Measures what accuracy costs in time: a grid of settings on labeled scenes.
     Pareto(pareto::Args),
+    /// Prints a script by which a shell completes commands and flags.
+    Completions(completions::Args),
+    /// Writes man pages: one of the program, and one of each command.
+    Man(man::Args),
     /// One setting, in this process: what `pareto` starts itself with.
     #[command(hide = true)]
     ParetoPoint(pareto::PointArgs),
 }
 
-/// Runs the program on the given arguments, the first of which is its name. Gives the exit code.
-pub fn run(args: impl IntoIterator<Item = OsString>) -> u8 {
+/// The program's command line, with groups and examples in its help.
+fn program() -> clap::Command {
+    overview::dressed(Cli::command())
+}
+
+/// Runs the program on the given arguments, the first of which is its name, with the file of defaults, if there is one.
+/// Gives the exit code.
+pub fn run(args: impl IntoIterator<Item = OsString>, file: Option<&Path>) -> u8 {
     let args: Vec<OsString> = args.into_iter().collect();
     let line = args.iter().skip(1).map(|a| a.to_string_lossy()).collect::<Vec<_>>().join(" ");
-    let mut command = Cli::command();
+    log::set_format(log::format_in(&args));
+    let mut command = program();
+    let args = match with_defaults(&mut command, args, file) {
+        Ok(args) => args,
+        Err(error) => return end(Err(error)),
+    };
     let matches = command.try_get_matches_from_mut(&args);
+    if let Ok(matches) = &matches {
+        begin(matches);
+    }
     let asked = matches.as_ref().ok().map(|matches| many::asked(matches));
     if let Some(Ok(Some(many))) = asked {
         return end(many.run(&command));
@@ -141,12 +182,51 @@ pub fn run(args: impl IntoIterator<Item = OsString>) -> u8 {
         }
         Err(e) => {
             terminal::print_usage(&e);
-            if e.kind() == ErrorKind::UnknownArgument && args.get(1).is_some_and(|a| a == "train") {
-                let tip = "tip: settings of the file are changed as in --set trainer.epochs=3";
-                terminal::tell_line(tip);
-            }
+            tell_tips(&e, &args);
             2
         }
+    }
+}
+
+/// The arguments, and the flags of the file that they do not give.
+fn with_defaults(
+    command: &mut clap::Command,
+    args: Vec<OsString>,
+    file: Option<&Path>,
+) -> Result<Vec<OsString>> {
+    defaults::note(None);
+    let of_shell = |word: &OsString| ["completions", "man", "help"].iter().any(|name| word == name);
+    let is_off = args.iter().any(|word| word == "--no-config") || args.get(1).is_some_and(of_shell);
+    let Some(file) = file.filter(|_| !is_off) else { return Ok(args) };
+    command.build();
+    let defaults = Defaults::read(file)?;
+    let (args, taken) = defaults.complete(command, &args)?;
+    defaults::note(Some((defaults.path().to_owned(), taken)));
+    Ok(args)
+}
+
+/// Says what a file gave, in the form that the command line or that file asks for.
+fn begin(matches: &clap::ArgMatches) {
+    log::set_format(matches.get_one("log_format").copied().unwrap_or_default());
+    if let Some((file, taken)) = defaults::taken() {
+        let words: Vec<String> = taken.iter().map(defaults::Taken::word).collect();
+        let text = format!("{}: {} (--no-config ignores it)", file.display(), words.join(" "));
+        terminal::say(Level::Info, &text);
+    }
+}
+
+/// Says what may help after a command line that cannot be understood.
+fn tell_tips(error: &clap::Error, args: &[OsString]) {
+    let is_train = args.get(1).is_some_and(|a| a == "train");
+    if error.kind() == ErrorKind::UnknownArgument && is_train {
+        let tip = "tip: settings of the file are changed as in --set trainer.epochs=3";
+        terminal::say(Level::Info, tip);
+    }
+    if let Some((file, taken)) = defaults::taken() {
+        let words: Vec<String> = taken.iter().map(defaults::Taken::word).collect();
+        let file = file.display();
+        let tip = format!("tip: {file} gave {}; --no-config ignores it", words.join(" "));
+        terminal::say(Level::Info, &tip);
     }
 }
 
@@ -179,9 +259,12 @@ impl Command {
             Self::Prepare(args) => prepare::run(args, line),
             Self::Chunk(args) => chunk::run(args),
             Self::Weights(args) => weights::run(args, line),
+            Self::Schema(args) => schema::run(args),
             Self::Bench(args) => bench::run(args),
             Self::Doctor(args) => doctor::run(args),
             Self::Pareto(args) => pareto::run(args),
+            Self::Completions(args) => completions::run(args, program()),
+            Self::Man(args) => man::run(args, program()),
             Self::ParetoPoint(args) => pareto::run_point(args),
         }
     }

@@ -11,12 +11,14 @@ mod experiment;
 mod golden;
 pub mod graph_file;
 pub mod reference;
+mod schema;
 mod shared;
 mod small_encoder;
 mod small_siglip;
 
 pub use experiment::{Network, SMALL_SEGMENTATION};
 pub use golden::{Golden, compare_relative, relative_error};
+pub use schema::schema_problems;
 pub use shared::shared;
 pub use small_encoder::SmallEncoder;
 pub use small_siglip::small_siglip;

@@ -126,6 +126,7 @@ losses = [{ type = "cross_entropy" }, { type = "lovasz_softmax" }]
 optimizer = { lr = 0.01, groups = [] }
 schedule = { type = "cosine", warmup = 0.5, warmup_from = 0.1, from = 1.0, to = 0.1 }
 trainer = { epochs = 2, log_every = 1 }
+limits = { train = 1.0 }
 MODEL
 num_classes = 41
 [[train]]

@@ -5,17 +5,17 @@ use scenesplat::experiment::ExperimentConfig;
 use serde_json::{Value, json};
 use std::collections::BTreeSet;
 
-const UNKNOWN: &str = "zzz_no_setting";
+pub const UNKNOWN: &str = "zzz_no_setting";
 
 /// Names that an error offers.
-fn offered(error: &str) -> Option<Vec<String>> {
+pub fn offered(error: &str) -> Option<Vec<String>> {
     let (_, rest) = error.split_once(&format!("`{UNKNOWN}`"))?;
     let names = rest.split('`').skip(1).step_by(2);
     Some(names.map(str::to_owned).collect())
 }
 
 /// Fields of the table at `pointer`; `None` if it is a value with a name, such as `{ last = 75.0 }`.
-fn fields_of(config: &Value, pointer: &str) -> Option<Vec<String>> {
+pub fn fields_of(config: &Value, pointer: &str) -> Option<Vec<String>> {
     let mut config = config.clone();
     let table = config.pointer_mut(pointer).unwrap().as_object_mut().unwrap();
     table.insert(UNKNOWN.to_owned(), json!(1));
@@ -44,7 +44,7 @@ pub fn names_of(config: &Value, pointer: &str) -> Vec<String> {
 }
 
 /// What kind of table it is.
-fn kind(table: &Value) -> Option<&str> {
+pub fn kind(table: &Value) -> Option<&str> {
     ["type", "architecture"].iter().find_map(|field| table.get(*field)).and_then(Value::as_str)
 }
 

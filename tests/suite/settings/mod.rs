@@ -8,6 +8,7 @@ mod known;
 mod outcome;
 mod resuming;
 mod rows;
+mod schema;
 mod steps;
 
 use bases::read;

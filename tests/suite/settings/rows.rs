@@ -693,4 +693,12 @@ pub const TABLES: &[Table] = &[
     table("language", "/early_stopping")
         .with(&[("/trainer/epochs", "4"), ("/early_stopping/patience", "1")])
         .rows(&[("smaller_is_better", "true", Weights)]),
+    table("language", "/early_stopping")
+        .with(&[("/trainer/epochs", "4"), ("/early_stopping/patience", "1")])
+        .rows(&[("min_delta", "1.0", Weights)]),
+    table("segmentation", "/limits")
+        .rows(&[("train", "1", Weights), ("evaluate", "1.5", Refused("limits.evaluate"))]),
+    table("segmentation", "/limits")
+        .with(&[("/limits/train", "null")])
+        .rows(&[("overfit", "1", Weights)]),
 ];

@@ -9,6 +9,7 @@ mod checkpoint_files;
 mod distillation;
 mod fit;
 mod golden;
+mod lr_finder;
 mod nothing;
 mod optimizer;
 mod optimizer_by_hand;

@@ -11,7 +11,7 @@ use std::path::PathBuf;
 /// against f64, short trainings, damaged rooms. Needs no files. Each case is made anew, the same
 /// every time; docs/hard_cases.md lists them.
 ///
-/// --soak, --round, --training and --curves run something else instead of the cases.
+/// --soak, --round, --training, --curves and --report run something else instead of the cases.
 #[derive(Debug, clap::Args)]
 #[command(group = clap::ArgGroup::new("instead").conflicts_with_all(["full", "case", "level", "operators_to"]))]
 pub struct Args {
@@ -58,6 +58,10 @@ pub struct Args {
     /// Gaussians of each room of --curves. [default: 20000]
     #[arg(long, value_name = "N", requires = "curves")]
     pub gaussians: Option<usize>,
+    /// Prints what a report of a bug needs: version, build, processor, instruction set, memory, variables, and a check of
+    /// two seconds. No paths, no names of users.
+    #[arg(long, group = "instead")]
+    pub report: bool,
     /// Folder for the files of --case; they get a folder of the case's name in it.
     #[arg(long, value_name = "DIR", default_value = "scenesplat-out")]
     pub out: PathBuf,
@@ -83,6 +87,11 @@ impl Args {
         }
         if self.round.is_some() && self.json.is_some() {
             refuse!("--json: a --round has no report");
+        }
+        if self.report && self.json.is_some() {
+            refuse!(
+                "--json: --report is a text to paste; without it the cases are written as JSON"
+            );
         }
         Ok(())
     }

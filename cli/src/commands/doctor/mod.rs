@@ -3,6 +3,7 @@
 mod args;
 mod curves;
 mod isas;
+mod report;
 mod soak;
 mod stability;
 
@@ -43,6 +44,9 @@ pub fn run(args: &Args) -> Result<()> {
     let began = Instant::now();
     args.check()?;
     let progress = Progress::start(&args.running)?;
+    if args.report {
+        return report::run(&progress);
+    }
     if let Some(round) = args.round {
         return soak::again(args, round);
     }

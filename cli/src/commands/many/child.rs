@@ -1,5 +1,7 @@
 //! One scene in a process of its own: what it takes of memory, and what becomes of it, is its own affair.
 
+use crate::defaults::FILE_VARIABLE;
+use crate::log::last_error;
 use crate::progress::interrupted;
 use crate::terminal::this_program;
 use anyhow::{Context, Result};
@@ -29,7 +31,8 @@ pub enum Ended {
 /// If it cannot be started.
 pub fn run(words: &[OsString]) -> Result<Ended> {
     let mut command = Command::new(this_program()?);
-    command.args(words).stdin(Stdio::null()).stderr(Stdio::piped());
+    // The words hold what a file of defaults gave.
+    command.args(words).env(FILE_VARIABLE, "").stdin(Stdio::null()).stderr(Stdio::piped());
     end_with_this_process(&mut command);
     let mut child = command.spawn().context("cannot start a process for the scene")?;
     let said = child.stderr.take().map(|err| std::thread::spawn(move || pass_on(err)));
@@ -106,8 +109,8 @@ fn pass_on(from: impl Read) -> String {
 
 /// Why it failed: its error, or how it ended.
 fn reason(said: &str, status: ExitStatus) -> String {
-    if let Some(at) = said.rfind("error: ").filter(|_| status.code().is_some()) {
-        return said[at + "error: ".len()..].trim().to_owned();
+    if let Some(error) = last_error(said).filter(|_| status.code().is_some()) {
+        return error;
     }
     #[cfg(unix)]
     {

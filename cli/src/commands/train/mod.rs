@@ -1,18 +1,26 @@
 //! `scenesplat train`
 
+mod json_console;
 mod ranks;
+mod trial;
 
 use crate::error::{Saved, refuse};
 use crate::flags::Running;
+use crate::log;
 use crate::progress::{interrupted, listen_for_interrupt};
 use crate::terminal::{note_warning, print};
 use crate::threads::set_threads;
+use crate::version;
 use anyhow::{Context, Result, anyhow};
+use json_console::JsonConsole;
+use scenesplat::datasets::Amount;
 use scenesplat::experiment::{
-    ExperimentConfig, ExperimentError, RunOptions, RunReport, train_together,
+    ExperimentConfig, ExperimentError, MakeConsole, RunOptions, RunReport, train_together,
 };
 use scenesplat::models::DeviceChoice;
+use scenesplat::trainers::callbacks::Console;
 use scenesplat::trainers::checkpoint::newest_checkpoint;
+use std::num::NonZeroUsize;
 use std::path::PathBuf;
 use std::rc::Rc;
 use std::sync::Arc;
@@ -50,12 +58,58 @@ pub struct Args {
     /// (docs/devices.md); auto, which is the first of these that there is, else cpu.
     #[arg(long, value_name = "DEVICE", default_value_t = DeviceChoice::Cpu)]
     pub device: DeviceChoice,
+    /// Trains on N batches (1 if not said) and evaluates on N scenes of each evaluation, to see whether everything fits
+    /// together; writes nothing.
+    #[arg(
+        long, value_name = "N", num_args = 0..=1, require_equals = true, default_missing_value = "1",
+        conflicts_with_all = ["resume", "resume_if_there", "out", "check", "lr_find", "overfit", "limit_batches", "limit_evaluation"]
+    )]
+    pub fast_dev_run: Option<NonZeroUsize>,
+    /// Trains on the first N batches again and again, and evaluates on their scenes: what can learn at all learns these
+    /// by heart. The same as --set limits.overfit=N.
+    #[arg(long, value_name = "N", conflicts_with = "limit_batches")]
+    pub overfit: Option<NonZeroUsize>,
+    /// Batches of each epoch: a number such as 10, or a share such as 0.1. The same as --set limits.train=N.
+    #[arg(long, value_name = "N|SHARE")]
+    pub limit_batches: Option<Amount>,
+    /// Scenes of each evaluation, as --limit-batches. The same as --set limits.evaluate=N.
+    #[arg(long, value_name = "N|SHARE")]
+    pub limit_evaluation: Option<Amount>,
+    /// Looks for a learning rate instead of training: N steps (100 if not said) with a rising rate. Writes lr_find.png
+    /// and lr_find.csv into the folder, and changes nothing else.
+    #[arg(
+        long, value_name = "N", num_args = 0..=1, require_equals = true, default_missing_value = "100",
+        value_parser = clap::value_parser!(u64).range(3..), conflicts_with_all = ["resume", "resume_if_there", "check"]
+    )]
+    pub lr_find: Option<u64>,
     /// Reads the experiment, prints it with everything that it extends, and trains nothing.
     #[arg(long)]
     pub check: bool,
 }
 
 impl Args {
+    /// The changes of settings, those that have a flag of their own among them.
+    fn all_changes(&self) -> Vec<String> {
+        let limits = [
+            ("overfit", self.overfit.map(|batches| batches.to_string())),
+            ("train", self.limit_batches.map(|amount| amount.to_string())),
+            ("evaluate", self.limit_evaluation.map(|amount| amount.to_string())),
+        ];
+        let limits = limits
+            .into_iter()
+            .filter_map(|(name, value)| Some(format!("limits.{name}={}", value?)));
+        self.changes.iter().cloned().chain(limits).collect()
+    }
+
+    /// What shows the run.
+    fn console(&self) -> Option<MakeConsole> {
+        match (self.running.quiet, log::is_json()) {
+            (true, _) => None,
+            (false, true) => Some(|| Box::new(JsonConsole)),
+            (false, false) => Some(|| Box::new(Console::new())),
+        }
+    }
+
     /// The file of the experiment, and the folder of the run.
     fn file_and_folder(&self) -> Result<(PathBuf, PathBuf)> {
         if self.config.is_dir() {
@@ -77,7 +131,7 @@ impl Args {
 /// Runs the command.
 pub fn run(args: &Args) -> Result<()> {
     let (file, out) = args.file_and_folder()?;
-    let mut config = ExperimentConfig::read_changed(&file, &args.changes)?;
+    let mut config = ExperimentConfig::read_changed(&file, &args.all_changes())?;
     if let Some(seed) = args.seed {
         config.set_seed(seed);
     }
@@ -91,6 +145,12 @@ pub fn run(args: &Args) -> Result<()> {
         print(&format!("--device auto: training on the cpu: {why}"));
     } else if args.device != DeviceChoice::Cpu {
         print(&format!("device: {} ({})", args.device, device.name));
+    }
+    if let Some(batches) = args.fast_dev_run {
+        return trial::try_out(args, &config, batches, &device.device);
+    }
+    if let Some(steps) = args.lr_find {
+        return trial::search(&config, steps, &device.device, &out);
     }
     let there = || newest_checkpoint(&out.join("checkpoints"));
     let resume = args.resume || (args.resume_if_there && there()?.is_some());
@@ -111,10 +171,10 @@ pub fn run(args: &Args) -> Result<()> {
         &RunOptions {
             out,
             resume,
-            quiet: args.running.quiet,
+            console: args.console(),
             stop,
             device: device.device,
-            commit: option_env!("SCENESPLAT_COMMIT").map(str::to_owned),
+            commit: version::COMMIT.map(str::to_owned),
         },
         Rc::clone(&ranks),
     )

@@ -6,6 +6,7 @@ use std::ffi::OsString;
 use std::os::unix::process::ExitStatusExt;
 #[cfg(windows)]
 use std::os::windows::process::ExitStatusExt;
+use std::path::Path;
 use std::process::{ExitStatus, Output};
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::{Mutex, MutexGuard, Once, PoisonError};
@@ -14,13 +15,19 @@ use std::sync::{Mutex, MutexGuard, Once, PoisonError};
 /// size. A panic fails the test, also where the program makes an error of it.
 #[track_caller]
 pub fn scenesplat(args: &[&str]) -> Output {
+    with_defaults(args, None)
+}
+
+/// As [`scenesplat`], with this file of defaults.
+#[track_caller]
+pub fn with_defaults(args: &[&str], file: Option<&Path>) -> Output {
     let given = args.iter().position(|arg| *arg == "--threads").and_then(|at| args.get(at + 1));
     let threads = given.and_then(|n| n.parse().ok()).filter(|n| (1..=8).contains(n)).unwrap_or(0);
     let draws = args.first().is_some_and(|command| WITH_PICTURE.contains(command));
     let small = draws && !args.iter().any(|arg| arg.starts_with("--preview-size"));
     let words = ["scenesplat"].iter().chain(args).chain(small.then_some(&SMALL_PICTURE));
     let words = words.map(OsString::from);
-    let (code, said) = without_panic(threads, || scenesplat_cli::run_captured(words));
+    let (code, said) = without_panic(threads, || scenesplat_cli::run_captured(words, file));
     let status = i32::from(code);
     #[cfg(unix)]
     let status = ExitStatus::from_raw(status << 8);

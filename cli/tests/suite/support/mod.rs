@@ -6,7 +6,7 @@ mod in_process;
 
 pub use demo_scene::{asset, asset_at, class_names};
 pub use experiments::*;
-pub use in_process::scenesplat;
+pub use in_process::{scenesplat, with_defaults};
 use scenesplat::rooms::{SyntheticRoomSettings, generate};
 use scenesplat::scene::formats::cameras::write_cameras_json;
 use scenesplat::scene::formats::inria_ply::write_inria_ply;
@@ -41,7 +41,10 @@ pub(crate) use run;
 
 /// The program as a process: where signals, pipes, variables, memory or processes of its own are the subject.
 pub fn program() -> Command {
-    Command::new(env!("CARGO_BIN_EXE_scenesplat"))
+    let mut command = Command::new(env!("CARGO_BIN_EXE_scenesplat"));
+    // Whatever defaults the user of this machine has.
+    command.env("SCENESPLAT_CONFIG", "");
+    command
 }
 
 /// Runs a command with `--json`, interrupts it when `begun` is in its first line, and asserts that it says so and

@@ -159,7 +159,7 @@ fn start(trial: &Trial<'_>, path: &Path, resume: bool) -> Result<RunReport, Fail
         device: Device::Cpu,
         out: trial.folder().join("run"),
         resume,
-        quiet: true,
+        console: None,
         stop: Default::default(),
         commit: None,
     };

@@ -106,6 +106,9 @@ fn labels() -> Vec<Written> {
 }
 
 impl Grid {
+    /// A JSON schema of grid files, for editors.
+    pub const SCHEMA: &str = include_str!("grid.schema.json");
+
     /// The grid that comes with the program.
     ///
     /// # Errors

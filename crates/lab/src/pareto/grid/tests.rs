@@ -148,3 +148,37 @@ fn a_calibration_goes_from_twice_as_coarse_to_two_passes() {
     assert_eq!(own.axes[1].values, ["0.48", "0.12", "0.09", "0.07", "0.06"]);
     assert_eq!((own.neutral.threads, own.neutral.isa), (vec![1, 2], vec!["all".to_owned()]));
 }
+
+#[test]
+fn the_schema_has_what_the_program_takes() {
+    let schema: serde_json::Value = serde_json::from_str(Grid::SCHEMA).unwrap();
+    let fits = |text: &str| {
+        let table: toml::Table = text.parse().unwrap();
+        scenesplat_test_support::schema_problems(&schema, &serde_json::to_value(table).unwrap())
+    };
+    let default = include_str!("../../../../../configs/pareto/default.toml");
+    assert_eq!(fits(default), [""; 0]);
+    assert_eq!(fits("point = []").len(), 2, "reference is missing, and point is unknown");
+    // As many fields as the program offers, top level and neutral.
+    for (pointer, text) in [
+        ("/properties", "reference = \"k=1\"\nzzz = 1"),
+        ("/properties/neutral/properties", "reference = \"k=1\"\nneutral = { zzz = 1 }"),
+    ] {
+        let Err(error) = grid(text) else { panic!("{text}") };
+        let error = with_causes(&error);
+        let fields = schema.pointer(pointer).unwrap().as_object().unwrap();
+        for name in fields.keys() {
+            assert!(error.contains(&format!("`{name}`")), "{name}: {error}");
+        }
+        let offered = error.split_once("expected one of").unwrap().1;
+        assert_eq!(offered.matches('`').count(), 2 * fields.len(), "{error}");
+    }
+}
+
+/// An error with what is behind it.
+fn with_causes(error: &dyn std::error::Error) -> String {
+    match error.source() {
+        Some(source) => format!("{error}: {}", with_causes(source)),
+        None => error.to_string(),
+    }
+}
