@@ -28,7 +28,7 @@ pub enum Ended {
 /// # Errors
 /// If it cannot be started.
 pub fn run(words: &[OsString]) -> Result<Ended> {
-    let mut command = Command::new(this_program()?);
+    let mut command = this_program()?;
     command.args(words).stdin(Stdio::null()).stderr(Stdio::piped());
     end_with_this_process(&mut command);
     let mut child = command.spawn().context("cannot start a process for the scene")?;
