@@ -1,0 +1,34 @@
+//! The native part of the Python package `scenesplat`.
+
+mod arrays;
+mod errors;
+mod from_arrays;
+mod program;
+mod scene;
+mod scene_arrays;
+mod work;
+
+use pyo3::prelude::*;
+
+/// Keeps pages between the large short-lived buffers of a network.
+#[global_allocator]
+static ALLOCATOR: mimalloc::MiMalloc = mimalloc::MiMalloc;
+
+#[pymodule]
+mod _scenesplat {
+    #[pymodule_export]
+    use crate::errors::Error;
+    #[pymodule_export]
+    use crate::program::run_program;
+    #[pymodule_export]
+    use crate::scene::Scene;
+    #[pymodule_export]
+    use crate::work::{forget_threads, num_threads, set_num_threads};
+    use pyo3::prelude::*;
+
+    #[pymodule_init]
+    fn init(module: &Bound<'_, PyModule>) -> PyResult<()> {
+        scenesplat_cli::allocator::keep_pages();
+        module.add("__version__", env!("CARGO_PKG_VERSION"))
+    }
+}
