@@ -1,5 +1,41 @@
-"""Scenes of 3D Gaussians: language features, labels, queries, pictures and training, on a plain CPU."""
+"""Scenes of 3D Gaussians: language features, labels, queries, pictures and training, on a plain CPU.
 
-from ._scenesplat import Error, Scene, __version__, num_threads, set_num_threads
+    import scenesplat
+    labels = scenesplat.segment(scenesplat.Scene.open("scene.ply"))
+    print(labels.names[labels.labels[0]])
+"""
 
-__all__ = ["Error", "Scene", "__version__", "num_threads", "set_num_threads"]
+import os as _os
+
+from . import kernels
+from ._labels import Features, Labels, Objects, Selection, features, objects, query, segment
+from ._looking import Alignment, Inspection, align, evaluate, inspect
+from ._network import Network
+from ._scenesplat import Error, Scene, __version__, forget_threads, num_threads, set_num_threads
+
+if hasattr(_os, "register_at_fork"):
+    # The threads of the parent are not in the child.
+    _os.register_at_fork(after_in_child=forget_threads)
+
+__all__ = [
+    "Alignment",
+    "Error",
+    "Features",
+    "Inspection",
+    "Labels",
+    "Network",
+    "Objects",
+    "Scene",
+    "Selection",
+    "__version__",
+    "align",
+    "evaluate",
+    "features",
+    "inspect",
+    "kernels",
+    "num_threads",
+    "objects",
+    "query",
+    "segment",
+    "set_num_threads",
+]

@@ -3,7 +3,7 @@
 use crate::errors::argument;
 use numpy::{
     Element, IntoPyArray, PyArray1, PyArray2, PyArrayDescrMethods, PyArrayMethods,
-    PyReadonlyArray1, PyReadonlyArrayDyn, PyUntypedArray, PyUntypedArrayMethods, dtype,
+    PyReadonlyArrayDyn, PyUntypedArray, PyUntypedArrayMethods, dtype,
 };
 use pyo3::exceptions::PyTypeError;
 use pyo3::prelude::*;
@@ -161,6 +161,3 @@ pub fn optional<'py, T: Element>(
 ) -> PyResult<Option<Input<'py, T>>> {
     given.map(|given| Input::new(name, given)).transpose()
 }
-
-/// The numbers of an array of one dimension, kept by Python.
-pub type Column<'py, T> = PyReadonlyArray1<'py, T>;

@@ -3,6 +3,8 @@
 mod arrays;
 mod errors;
 mod from_arrays;
+mod kernels;
+mod network;
 mod program;
 mod scene;
 mod scene_arrays;
@@ -18,6 +20,15 @@ static ALLOCATOR: mimalloc::MiMalloc = mimalloc::MiMalloc;
 mod _scenesplat {
     #[pymodule_export]
     use crate::errors::Error;
+    #[pymodule_export]
+    use crate::kernels::{
+        KernelMap, grid_sample, knn, knn_vote, patch_attention, patch_attention_backward,
+        segment_reduce, segment_reduce_backward, serialize,
+    };
+    #[pymodule_export]
+    use crate::network::{
+        NativeNetwork, align, evaluate, features, inspect, load_network, objects, query, segment,
+    };
     #[pymodule_export]
     use crate::program::run_program;
     #[pymodule_export]
