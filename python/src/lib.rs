@@ -1,13 +1,17 @@
 //! The native part of the Python package `scenesplat`.
 
 mod arrays;
+mod camera;
 mod errors;
 mod from_arrays;
 mod kernels;
+mod lifting;
 mod network;
 mod program;
+mod rendering;
 mod scene;
 mod scene_arrays;
+mod training;
 mod work;
 
 use pyo3::prelude::*;
@@ -19,6 +23,8 @@ static ALLOCATOR: mimalloc::MiMalloc = mimalloc::MiMalloc;
 #[pymodule]
 mod _scenesplat {
     #[pymodule_export]
+    use crate::camera::Camera;
+    #[pymodule_export]
     use crate::errors::Error;
     #[pymodule_export]
     use crate::kernels::{
@@ -26,13 +32,19 @@ mod _scenesplat {
         segment_reduce, segment_reduce_backward, serialize,
     };
     #[pymodule_export]
+    use crate::lifting::lift;
+    #[pymodule_export]
     use crate::network::{
         NativeNetwork, align, evaluate, features, inspect, load_network, objects, query, segment,
     };
     #[pymodule_export]
     use crate::program::run_program;
     #[pymodule_export]
+    use crate::rendering::{Drawing, Rasterized};
+    #[pymodule_export]
     use crate::scene::Scene;
+    #[pymodule_export]
+    use crate::training::{read_experiment, train};
     #[pymodule_export]
     use crate::work::{forget_threads, num_threads, set_num_threads};
     use pyo3::prelude::*;

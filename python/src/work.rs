@@ -108,12 +108,22 @@ pub fn run<T: Send + 'static>(
     progress: Option<&Bound<'_, PyAny>>,
     work: impl FnOnce(Arc<dyn Caller>) -> T + Send + 'static,
 ) -> PyResult<T> {
+    run_with_stop(py, progress, |caller, _| work(caller))
+}
+
+/// As [`run`], for work that looks at a flag to know whether it is to stop.
+pub fn run_with_stop<T: Send + 'static>(
+    py: Python<'_>,
+    progress: Option<&Bound<'_, PyAny>>,
+    work: impl FnOnce(Arc<dyn Caller>, Arc<AtomicBool>) -> T + Send + 'static,
+) -> PyResult<T> {
     let (events, mut happened) = channel();
     let stop = Arc::new(AtomicBool::new(false));
+    let stopping = Arc::clone(&stop);
     let shows = progress.is_some();
     let line = Arc::new(Line { events: events.clone(), stop: Arc::clone(&stop), shows });
     pool()?.spawn(move || {
-        let done = catch_unwind(AssertUnwindSafe(|| work(line)));
+        let done = catch_unwind(AssertUnwindSafe(|| work(line, stopping)));
         let _ = events.send(Event::Done(done));
     });
     let mut raised: Option<PyErr> = None;

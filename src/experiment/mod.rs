@@ -18,4 +18,4 @@ pub use config::ExperimentConfig;
 pub use error::ExperimentError;
 pub use export::exported_checkpoint;
 pub use identity::{MAY_CHANGE, identity};
-pub use run::{RunOptions, RunReport, train, train_together};
+pub use run::{RunOptions, RunReport, train, train_together, train_with};

@@ -32,9 +32,10 @@ use scenesplat_trainers::tasks::{
     Distillation, LanguagePretraining, SemanticSegmentation, TargetSource, TaskModule,
 };
 use scenesplat_trainers::{
-    AdamW, Alone, Collective, DataModule, Evaluator, Identity, Optimizer, Progress, Schedule,
-    Trainer, TrainerConfig, TrainingModule, WithWeightDecay, group_by_keyword,
+    AdamW, Alone, Callback, Collective, DataModule, Evaluator, Identity, Optimizer, Progress,
+    Schedule, Trainer, TrainerConfig, TrainingModule, WithWeightDecay, group_by_keyword,
 };
+use std::cell::RefCell;
 use std::path::{Path, PathBuf};
 use std::rc::Rc;
 use std::sync::Arc;
@@ -101,6 +102,19 @@ pub fn train_together(
     options: &RunOptions,
     collective: Rc<dyn Collective>,
 ) -> Result<RunReport> {
+    train_with(config, options, collective, Vec::new())
+}
+
+/// As [`train_together`], with callbacks that rank 0 tells of every event.
+///
+/// # Errors
+/// As [`train_together`]; also what a callback gives.
+pub fn train_with(
+    config: &ExperimentConfig,
+    options: &RunOptions,
+    collective: Rc<dyn Collective>,
+    callbacks: Vec<Box<dyn Callback>>,
+) -> Result<RunReport> {
     let leads = collective.rank() == 0;
     // Rank 0 holds it for all.
     let lock = || leads.then(|| FolderLock::acquire(&options.out)).transpose();
@@ -141,6 +155,7 @@ pub fn train_together(
         classes: text.as_ref().map(|t| t.table.names.clone()),
         teacher: teacher.as_ref().map(|t| Arc::clone(&t.record)),
         collective,
+        callbacks: RefCell::new(callbacks),
     };
     let objects = (text.as_ref(), teacher.as_ref());
     let (progress, (model, more)) = run.fit_task(params, objective, objects)?;
@@ -270,6 +285,8 @@ struct Run<'a> {
     classes: Option<Vec<String>>,
     teacher: Option<Arc<TeacherRecord>>,
     collective: Rc<dyn Collective>,
+    /// The caller's, until the training begins.
+    callbacks: RefCell<Vec<Box<dyn Callback>>>,
 }
 
 /// The exported model, with remarks.
@@ -352,6 +369,9 @@ impl Run<'_> {
         }
         if leads && !self.options.quiet {
             trainer = trainer.with_callback(Console::new());
+        }
+        if leads {
+            trainer = trainer.with_callbacks(self.callbacks.take());
         }
         if let Some(e) = &self.config.early_stopping {
             trainer = trainer.with_callback(EarlyStopping::new(

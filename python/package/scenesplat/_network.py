@@ -108,3 +108,12 @@ class Network:
     def __repr__(self) -> str:
         kind = "classes" if self.is_classifier else "features"
         return f"Network({self.out_channels} {kind}, voxels of {self.grid_size} m)"
+
+
+def native_of(network: Network | None) -> native.NativeNetwork | None:
+    """The native part of a network, if one was given."""
+    if network is None:
+        return None
+    if not isinstance(network, Network):
+        raise TypeError(f"network: a Network is expected, got {type(network).__name__}; Network.load(path) loads one")
+    return network._native

@@ -11,7 +11,7 @@ import numpy as np
 
 from . import _scenesplat as native
 from ._flags import as_file, direction, flags
-from ._network import Network
+from ._network import Network, native_of
 from ._scenesplat import Scene
 from ._types import BoolArray, FloatArray, IndexArray, IntArray, Path, Progress
 
@@ -123,7 +123,7 @@ def features(
         effect_plan=effect_plan,
     )
     values, inverse, sampled, report, axes = native.features(
-        scene, network and network._native, words, progress
+        scene, native_of(network), words, progress
     )
     return Features(values, inverse, sampled, json.loads(report), axes)
 
@@ -192,7 +192,7 @@ def segment(
             effect=effect,
             effect_plan=effect_plan,
         )
-        labels, scores, names = native.segment(scene, network and network._native, words, progress)
+        labels, scores, names = native.segment(scene, native_of(network), words, progress)
     return Labels(labels, scores, names)
 
 
@@ -249,7 +249,7 @@ def query(
             effect_plan=effect_plan,
         )
         scores, selected = native.query(
-            scene, phrase, network and network._native, words, progress
+            scene, phrase, native_of(network), words, progress
         )
     return Selection(scores, selected.view(np.bool_))
 
@@ -314,6 +314,6 @@ def objects(
             max_memory=max_memory,
         )
         (labels, scores, names), instances, table = native.objects(
-            scene, network and network._native, words, progress
+            scene, native_of(network), words, progress
         )
     return Objects(labels, scores, names, instances, json.loads(table))

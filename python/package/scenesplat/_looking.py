@@ -8,18 +8,21 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
+import numpy as np
+from numpy.typing import NDArray
+
 from . import _scenesplat as native
 from ._flags import direction, flags
-from ._network import Network
+from ._network import Network, native_of
 from ._scenesplat import Scene
-from ._types import FloatArray, Path, Progress
+from ._types import Path, Progress
 
 
 @dataclass(frozen=True)
 class Alignment:
     """How a network reads a scene."""
 
-    rotation: FloatArray
+    rotation: NDArray[np.float64]
     """Turns the scene upright, +z up. `[3, 3]` float64"""
     metres_per_unit: float
     """What one unit of the scene is, meters."""
@@ -60,7 +63,7 @@ def align(
     The arguments are those of `features`.
     """
     words = flags(up=direction("up", up), unit=unit, floor=floor)
-    rotation, scale, report = native.align(scene, network and network._native, words, progress)
+    rotation, scale, report = native.align(scene, native_of(network), words, progress)
     return Alignment(rotation, scale, json.loads(report))
 
 
@@ -149,6 +152,6 @@ def evaluate(
         max_memory=max_memory,
         effect=effect,
     )
-    report = native.evaluate(held, names, network and network._native, words, progress)
+    report = native.evaluate(held, names, native_of(network), words, progress)
     figures: dict[str, Any] = json.loads(report)
     return figures

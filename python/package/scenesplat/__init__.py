@@ -11,7 +11,26 @@ from . import kernels
 from ._labels import Features, Labels, Objects, Selection, features, objects, query, segment
 from ._looking import Alignment, Inspection, align, evaluate, inspect
 from ._network import Network
-from ._scenesplat import Error, Scene, __version__, forget_threads, num_threads, set_num_threads
+from ._pictures import (
+    LabelledPicture,
+    Lifted,
+    Picture,
+    lift,
+    rasterize,
+    render,
+    render_features,
+)
+from ._scenesplat import (
+    Camera,
+    Error,
+    Rasterized,
+    Scene,
+    __version__,
+    forget_threads,
+    num_threads,
+    set_num_threads,
+)
+from ._training import Trained, train
 
 if hasattr(_os, "register_at_fork"):
     # The threads of the parent are not in the child.
@@ -19,23 +38,34 @@ if hasattr(_os, "register_at_fork"):
 
 __all__ = [
     "Alignment",
+    "Camera",
     "Error",
     "Features",
     "Inspection",
+    "LabelledPicture",
     "Labels",
+    "Lifted",
     "Network",
     "Objects",
+    "Picture",
+    "Rasterized",
     "Scene",
     "Selection",
+    "Trained",
     "__version__",
     "align",
     "evaluate",
     "features",
     "inspect",
     "kernels",
+    "lift",
     "num_threads",
     "objects",
     "query",
+    "rasterize",
+    "render",
+    "render_features",
     "segment",
     "set_num_threads",
+    "train",
 ]
