@@ -71,14 +71,16 @@ def test_gradients_of_a_picture(random):
     given = arrays(random, n=12, degree=1)
     given = {name: array.astype(np.float64) for name, array in given.items()}
     values = {
-        "means": given["means"] * 0.2,
+        # Apart in depth: where two change places the picture jumps.
+        "means": np.stack([0.3 * given["means"][:, 0], np.linspace(-1, 1, 12), 0.3 * given["means"][:, 2]], 1),
         "rotations": given["rotations"],
-        "scales": np.exp(given["log_scales"] + 1.5),
+        "scales": np.exp(given["log_scales"] + 1),
         "opacities": 1 / (1 + np.exp(-given["opacity_logits"])),
         "sh": 0.3 * given["sh"],
     }
     camera = Camera.look_at([0, -3, 0.3], [0, 0, 0], width=40, height=30)
-    weights = random.normal(size=(30, 40, 3))
+    y, x = np.mgrid[:30, :40]
+    weights = np.stack([np.sin(x / 9), np.cos(y / 7), np.sin((x + y) / 8)], -1)
 
     def loss(**changed):
         picture = scenesplat.rasterize(**{**values, **changed}, camera=camera)
@@ -89,16 +91,16 @@ def test_gradients_of_a_picture(random):
     assert picture.rgb.std() > 0.01
     for name, value in values.items():
         assert slopes[name].shape == value.shape
-        step = random.normal(size=value.shape)
-        step *= 2e-3 / np.abs(step).max()
+        # Along the gradient, where a change is large beside what the cut at small alphas, which has no derivative, does.
+        step = slopes[name] * random.uniform(0.5, 1.5, size=value.shape)
+        step *= (2e-2 if name == "rotations" else 2e-3) / np.abs(step).max()
         change = (loss(**{name: value + step})[0] - loss(**{name: value - step})[0]) / 2
-        # The cut at small alphas has no derivative.
-        assert abs((slopes[name] * step).sum() - change) < 0.05 * abs(change) + 2e-3, name
+        assert abs((slopes[name] * step).sum() - change) < 0.1 * abs(change), name
 
 
 def test_labels_are_lifted_back(demo, room):
     labels = np.load(demo / "labels.npy")
-    table = np.eye(32, dtype=np.float32)
+    table = np.eye(64, dtype=np.float32)
     center = room.means.mean(0).tolist()
     eyes = [[center[0] + dx, center[1] + dy, center[2]] for dx, dy in ((1, 0.5), (-1, 0.5), (0.5, -1))]
     cameras = [Camera.look_at(eye, center, fov=90, width=160, height=120) for eye in eyes]
@@ -110,7 +112,7 @@ def test_labels_are_lifted_back(demo, room):
             yield LabelledPicture(camera, segments, table)
 
     found = scenesplat.lift(room, pictures())
-    assert found.features.shape == (len(room), 32) and found.valid.mean() > 0.2
+    assert found.features.shape == (len(room), 64) and found.valid.mean() > 0.2
     assert np.abs(np.linalg.norm(found.features[found.valid], axis=1) - 1).max() < 1e-5
     assert not found.features[~found.valid].any()
     sure = found.valid & (found.coverage > 1)

@@ -58,7 +58,7 @@ def config(source, epochs=2):
 
 
 def losses(events):
-    return [e["measurements"]["loss"] for e in events if e["event"] == "step"]
+    return [e["measurements"]["train/loss"] for e in events if e["event"] == "step"]
 
 
 def test_scenes_from_python_are_learned(tmp_path):
