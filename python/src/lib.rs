@@ -1,5 +1,10 @@
 //! The native part of the Python package `scenesplat`.
 
+#![allow(
+    clippy::needless_pass_by_value,
+    reason = "arguments of Python come as values of their own"
+)]
+
 mod arrays;
 mod camera;
 mod errors;

@@ -79,7 +79,7 @@ pub fn lift<'py>(
         let view = camera.get().view(of.origin)?;
         let features = Input::<f32>::new("features", &features)?;
         features.expect(&[None, None])?;
-        let &[rows, dim] = features.shape() else { unreachable_shape()? };
+        let [rows, dim] = [features.shape()[0], features.shape()[1]];
         let map = [segments(&ids, view.width, view.height, rows)?];
         let depth = optional::<f32>("depth", depth.as_ref())?;
         if let Some(depth) = &depth {
@@ -117,9 +117,4 @@ pub fn lift<'py>(
     all.set_item("coverage", column(py, found.coverage))?;
     all.set_item("robust", is_robust)?;
     Ok(all)
-}
-
-/// Of an array that was checked before.
-fn unreachable_shape<T>() -> PyResult<T> {
-    Err(argument("features", "expected [S, D]"))
 }

@@ -26,6 +26,9 @@ pub fn preset(name: &str) -> PyResult<RasterSettings> {
     }
 }
 
+/// Color, what is covered, and depth.
+type Planes<'py> = (Bound<'py, PyAny>, Bound<'py, PyAny>, Option<Bound<'py, PyAny>>);
+
 /// A scene that is ready to be drawn.
 #[pyclass(frozen, module = "scenesplat._scenesplat")]
 pub struct Drawing {
@@ -65,11 +68,7 @@ impl Drawing {
     }
 
     /// Color `[H, W, 3]`, what is covered `[H, W]`, and depth `[H, W]` if it was asked for.
-    fn draw<'py>(
-        &self,
-        py: Python<'py>,
-        camera: &Camera,
-    ) -> PyResult<(Bound<'py, PyAny>, Bound<'py, PyAny>, Option<Bound<'py, PyAny>>)> {
+    fn draw<'py>(&self, py: Python<'py>, camera: &Camera) -> PyResult<Planes<'py>> {
         let view = camera.view(self.origin)?;
         let picture = compute(py, || self.prepared.render(&view, &self.request))?.map_err(error)?;
         let alpha = picture.alpha();
