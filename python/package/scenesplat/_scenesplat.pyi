@@ -2,13 +2,14 @@
 
 import os
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any, Optional
+from typing import Any, Optional, final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ._types import BoolArray, FloatArray, IndexArray, IntArray, Path, Progress
 
+__all__: list[str]
 __version__: str
 
 class Error(Exception):
@@ -23,6 +24,7 @@ def set_num_threads(threads: int) -> None:
 def forget_threads() -> None: ...
 def run_program(words: Sequence[str], started_by: Sequence[str]) -> int: ...
 
+@final
 class Scene:
     """A scene of 3D Gaussians, one row of every array for each Gaussian."""
 
@@ -37,7 +39,17 @@ class Scene:
         lang_feat: bool = ...,
         extra: bool = ...,
         spz_frame: str = ...,
-    ) -> Scene: ...
+    ) -> Scene:
+        """Reads a scene in any format that the program reads: PLY (trainers', compressed), SPZ, SOG, KSPLAT, splat, glTF,
+        folders of .npy, training folders; a labeled point cloud becomes Gaussians, with a warning.
+
+        - `strict`: refuses files with values that would be repaired; else what was repaired is a warning
+        - `segment_name`: which labels to read: a PLY property or the stem of a .npy file
+        - `lod`: level of detail of a streamed scene, 0 = finest
+        - `sh`, `lang_feat`, `extra`: whether to read harmonics beyond the first, language features, columns of unknown
+          meaning
+        - `spz_frame`: "rub", as the format prescribes, or "raw", as in the PLY file it was made from
+        """
     @staticmethod
     def from_arrays(
         *,
@@ -55,7 +67,18 @@ class Scene:
         extra: dict[str, Any] | None = ...,
         antialiased: bool = ...,
         strict: bool = ...,
-    ) -> Scene: ...
+    ) -> Scene:
+        """A scene of arrays: numpy's, torch's by DLPack, or whatever numpy takes. They are copied.
+
+        - `means`: centers, meters. `[N, 3]`
+        - `rotations`: w, x, y, z, any norm above 0. `[N, 4]`
+        - `log_scales` or `scales`: standard deviations in meters, as natural logarithms or as they are. `[N, 3]`
+        - `opacity_logits` or `opacities`: before the sigmoid, or 0 to 1. `[N]`
+        - `sh` `[N, (degree + 1)², 3]`, or `colors` 0 to 1 `[N, 3]`
+        - `normals` `[N, 3]`, `segment`, `instances` `[N]` whole numbers, −1 = none
+        - `extra`: further columns by name, `[N, …]` each
+        - `strict`: refuses values that would be repaired; else what was repaired is a warning, as for files
+        """
     def save(
         self,
         path: Path,
@@ -66,64 +89,97 @@ class Scene:
         spz_frame: str = ...,
         lod_levels: int = ...,
         progress: Progress | None = ...,
-    ) -> int: ...
+    ) -> int:
+        """Writes the scene. The format is that of the ending (.ply, .compressed.ply, .spz, .sog, .glb, .splat, a folder, …)
+        or `format`. What the format cannot hold is a warning.
+
+        Returns the number of bytes written.
+        """
     def __len__(self) -> int: ...
     @property
-    def path(self) -> str: ...
+    def path(self) -> str:
+        """The file or folder it was read from; "<arrays>" for a scene of arrays."""
     @property
-    def format(self) -> str: ...
+    def format(self) -> str:
+        """What the file is, such as "ply" or "spz"."""
     @property
-    def report(self) -> str: ...
+    def report(self) -> str:
+        """What was noticed and repaired while reading."""
     @property
-    def source_rows(self) -> int: ...
+    def source_rows(self) -> int:
+        """Rows of the source, those left out included."""
     @property
-    def origin(self) -> tuple[float, float, float]: ...
+    def origin(self) -> tuple[float, float, float]:
+        """What is subtracted from all positions of the file: a center is at `means + origin` there. Zero for scenes near 0."""
     @property
-    def sh_degree(self) -> int: ...
+    def sh_degree(self) -> int:
+        """Degree of the spherical harmonics, 0 to 4."""
     @property
-    def antialiased(self) -> bool: ...
+    def antialiased(self) -> bool:
+        """Whether it was trained for antialiased rendering."""
     @property
-    def means(self) -> FloatArray: ...
+    def means(self) -> FloatArray:
+        """Centers relative to `origin`, meters. `[N, 3]` float32, a view"""
     @property
-    def log_scales(self) -> FloatArray: ...
+    def log_scales(self) -> FloatArray:
+        """Natural logarithms of the standard deviations in meters. `[N, 3]` float32, a view"""
     @property
-    def rotations(self) -> FloatArray: ...
+    def rotations(self) -> FloatArray:
+        """Orientations w, x, y, z, unit norm, w at least 0. `[N, 4]` float32, a view"""
     @property
-    def opacity_logits(self) -> FloatArray: ...
+    def opacity_logits(self) -> FloatArray:
+        """Opacities before the sigmoid; infinite ones are legal. `[N]` float32, a view"""
     @property
-    def sh_dc(self) -> FloatArray: ...
+    def sh_dc(self) -> FloatArray:
+        """First harmonic: color is 0.5 + 0.2820948 of it. `[N, 3]` float32, a view"""
     @property
-    def sh_rest(self) -> FloatArray: ...
+    def sh_rest(self) -> FloatArray:
+        """Higher harmonics, (degree + 1)² − 1 for each channel. `[N, K, 3]` float32, a view"""
     @property
-    def normals(self) -> FloatArray | None: ...
+    def normals(self) -> FloatArray | None:
+        """Unit normals, if the scene has any. `[N, 3]` float32, a view"""
     @property
-    def segment(self) -> IntArray | None: ...
+    def segment(self) -> IntArray | None:
+        """Classes that the scene carries, −1 = none, if it does. `[N]` int32, a view"""
     @property
-    def segment_scores(self) -> FloatArray | None: ...
+    def segment_scores(self) -> FloatArray | None:
+        """How sure these classes are, if the scene says it. `[N]` float32, a view"""
     @property
-    def instances(self) -> IntArray | None: ...
+    def instances(self) -> IntArray | None:
+        """Instances that the scene carries, −1 = none, if it does. `[N]` int32, a view"""
     @property
-    def lang_feat(self) -> NDArray[np.float16] | None: ...
+    def lang_feat(self) -> NDArray[np.float16] | None:
+        """Language features that the scene carries, if it does. `[N, D]` float16, a view"""
     @property
-    def valid_feat_mask(self) -> BoolArray | None: ...
+    def valid_feat_mask(self) -> BoolArray | None:
+        """Whether a row of `lang_feat` holds a feature. `[N]` bool, a view"""
     @property
-    def kept_rows(self) -> NDArray[np.uint32] | None: ...
+    def kept_rows(self) -> NDArray[np.uint32] | None:
+        """Rows of the source that the scene is made of, ascending; None if all. `[N]` uint32, a view"""
     @property
-    def extra(self) -> dict[str, NDArray[Any]]: ...
+    def extra(self) -> dict[str, NDArray[Any]]:
+        """Columns of the file whose meaning is not known, by name, in the types of the file. `[N, …]` each, views"""
     @property
-    def scales(self) -> FloatArray: ...
+    def scales(self) -> FloatArray:
+        """Standard deviations along the axes, meters. `[N, 3]` float32, computed"""
     @property
-    def opacities(self) -> FloatArray: ...
+    def opacities(self) -> FloatArray:
+        """Opacities, 0 to 1. `[N]` float32, computed"""
     @property
-    def sh(self) -> FloatArray: ...
+    def sh(self) -> FloatArray:
+        """All harmonics, the first in front. `[N, (degree + 1)², 3]` float32, a copy"""
     @property
-    def labelled_points(self) -> dict[str, Any] | None: ...
+    def labelled_points(self) -> dict[str, Any] | None:
+        """Labeled points that benchmarks evaluate on, if the scene has any: "coord" `[M, 3]` float32 (meters, relative to
+        `origin`), "segment" and "instance" `[M]` int32 or None. Views
+        """
 
+@final
 class Camera:
     """A camera with its pose: axes x right, y down, z forward."""
 
-    def __init__(
-        self,
+    def __new__(
+        cls,
         *,
         width: int,
         height: int,
@@ -134,7 +190,7 @@ class Camera:
         rotation: Any,
         translation: Any,
         name: str = ...,
-    ) -> None: ...
+    ) -> Camera: ...
     @staticmethod
     def look_at(
         eye: Sequence[float],
@@ -145,41 +201,54 @@ class Camera:
         width: int = ...,
         height: int = ...,
         name: str = ...,
-    ) -> Camera: ...
+    ) -> Camera:
+        """A camera at `eye` with `target` in the middle of its picture: up in the scene is up in the picture. `fov`: angle of
+        view across the shorter side, degrees.
+        """
     @staticmethod
-    def open(path: Path) -> list[Camera]: ...
-    def resized(self, width: int, height: int) -> Camera: ...
+    def open(path: Path) -> list[Camera]:
+        """The cameras of a file: cameras.json, transforms.json or a COLMAP folder."""
+    def resized(self, width: int, height: int) -> Camera:
+        """The same camera with a picture of another size, pixels."""
     @property
-    def name(self) -> str: ...
+    def name(self) -> str:
+        """Of its picture, as a file says it."""
     @property
-    def width(self) -> int: ...
+    def width(self) -> int:
+        """Pixels."""
     @property
-    def height(self) -> int: ...
+    def height(self) -> int:
+        """Pixels."""
     @property
-    def intrinsics(self) -> tuple[float, float, float, float]: ...
+    def intrinsics(self) -> tuple[float, float, float, float]:
+        """Focal lengths and principal point, pixels: fx, fy, cx, cy."""
     @property
-    def rotation(self) -> NDArray[np.float64]: ...
+    def rotation(self) -> NDArray[np.float64]:
+        """World to camera. `[3, 3]` float64"""
     @property
-    def translation(self) -> NDArray[np.float64]: ...
+    def translation(self) -> NDArray[np.float64]:
+        """World to camera. `[3]` float64"""
 
+@final
 class Drawing:
-    def __init__(
-        self,
+    def __new__(
+        cls,
         scene: Scene,
         depth: bool,
         preset: str,
         antialiased: bool | None,
         background: tuple[float, float, float] | None,
         sh_degree: int | None,
-    ) -> None: ...
+    ) -> Drawing: ...
     def draw(self, camera: Camera) -> tuple[FloatArray, FloatArray, FloatArray | None]: ...
     def draw_features(self, camera: Camera, features: Any) -> FloatArray: ...
 
+@final
 class Rasterized:
     """A picture with what its gradients need."""
 
-    def __init__(
-        self,
+    def __new__(
+        cls,
         means: Any,
         rotations: Any,
         scales: Any,
@@ -189,14 +258,18 @@ class Rasterized:
         preset: str,
         antialiased: bool,
         background: tuple[float, float, float] | None,
-    ) -> None: ...
+    ) -> Rasterized: ...
     @property
-    def rgb(self) -> FloatArray: ...
+    def rgb(self) -> FloatArray:
+        """Color, at least 0. `[H, W, 3]` float32"""
     @property
-    def alpha(self) -> FloatArray: ...
+    def alpha(self) -> FloatArray:
+        """What is covered, 0 to 1. `[H, W]` float32"""
     @property
-    def depth(self) -> FloatArray: ...
-    def backward(self, *, rgb: Any = ..., alpha: Any = ..., depth: Any = ...) -> dict[str, FloatArray]: ...
+    def depth(self) -> FloatArray:
+        """Mean depth along the camera's axis, units of the world; 0 where nothing is. `[H, W]` float32"""
+    def backward(self, *, rgb: Any = ..., alpha: Any = ..., depth: Any = ...) -> dict[str, FloatArray]:
+        """Gradients of `Σ grad · picture` with respect to the arrays that were given, by their names. What is not given is 0."""
 
 def lift(
     scene: Scene,
@@ -209,6 +282,7 @@ def lift(
     min_coverage: float,
 ) -> dict[str, Any]: ...
 
+@final
 class NativeNetwork:
     @property
     def out_channels(self) -> int: ...
@@ -263,10 +337,11 @@ def train(
 ) -> tuple[int, int, int, os.PathLike[str], list[str]]: ...
 def read_experiment(path: Path, changes: Sequence[str]) -> str: ...
 
+@final
 class KernelMap:
     """Which voxels a submanifold convolution joins: made once for the voxels of a batch."""
 
-    def __init__(self, grid_coord: Any, kernel_size: int = ..., *, offsets: Any = ...) -> None:
+    def __new__(cls, grid_coord: Any, kernel_size: int = ..., *, offsets: Any = ...) -> KernelMap:
         """`grid_coord`: 0 to 2²¹ − 1. `[N, 3]` · `kernel_size`: 1, 3, 5 or 7 · `offsets`: ends of scenes. `[B + 1]`"""
     @property
     def kernel_size(self) -> int: ...
