@@ -49,7 +49,7 @@ mod _scenesplat {
     #[pymodule_export]
     use crate::scene::Scene;
     #[pymodule_export]
-    use crate::training::{read_experiment, train};
+    use crate::training::train;
     #[pymodule_export]
     use crate::work::{forget_threads, num_threads, set_num_threads};
     use pyo3::prelude::*;

@@ -131,9 +131,3 @@ pub fn train(
     let at = report.progress;
     Ok((at.step, at.total_steps, at.epoch, report.model, report.remarks))
 }
-
-/// The settings of an experiment with everything that it extends, as TOML.
-#[pyfunction]
-pub fn read_experiment(path: PathBuf, changes: Vec<String>) -> PyResult<String> {
-    toml::to_string_pretty(&of_file(&path, &changes)?).map_err(error)
-}

@@ -9,7 +9,39 @@ from numpy.typing import NDArray
 
 from ._types import BoolArray, FloatArray, IndexArray, IntArray, Path, Progress
 
-__all__: list[str]
+__all__ = [
+    "Camera",
+    "Drawing",
+    "Error",
+    "KernelMap",
+    "NativeNetwork",
+    "Rasterized",
+    "Scene",
+    "__version__",
+    "align",
+    "evaluate",
+    "features",
+    "forget_threads",
+    "grid_sample",
+    "inspect",
+    "knn",
+    "knn_vote",
+    "lift",
+    "load_network",
+    "num_threads",
+    "objects",
+    "patch_attention",
+    "patch_attention_backward",
+    "query",
+    "run_program",
+    "segment",
+    "segment_reduce",
+    "segment_reduce_backward",
+    "serialize",
+    "set_num_threads",
+    "train",
+]
+
 __version__: str
 
 class Error(Exception):
@@ -335,7 +367,6 @@ def train(
     device: str,
     callbacks: Sequence[Callable[[dict[str, Any]], bool | None]],
 ) -> tuple[int, int, int, os.PathLike[str], list[str]]: ...
-def read_experiment(path: Path, changes: Sequence[str]) -> str: ...
 
 @final
 class KernelMap:
