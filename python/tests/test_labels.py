@@ -42,6 +42,26 @@ def test_segment_by_flags(demo, room, tmp_path):
     assert found.names.index("wall") not in found.labels
 
 
+def test_rows_that_are_left_out_are_in_the_files(room, network, tmp_path):
+    path = tmp_path / "a.ply"
+    room.save(path)
+    data = bytearray(path.read_bytes())
+    # The first position of row 2 of the file.
+    head, row = data.index(b"end_header\n") + 11, (len(data) - data.index(b"end_header\n") - 11) // len(room)
+    data[head + 2 * row : head + 2 * row + 4] = np.float32(np.nan).tobytes()
+    path.write_bytes(data)
+    done = program("segment", path, "--out", tmp_path / "o", "--quiet")
+    assert done.returncode == 0, done.stderr
+    with pytest.warns(UserWarning, match="1 left out"):
+        scene = Scene.open(path)
+    found = scenesplat.segment(scene, network)
+    file = np.load(tmp_path / "o/labels.npy")
+    assert len(file) == len(room) == len(found) + 1 and file[2] == -1
+    assert same_bits(scenesplat.to_source_rows(scene, found.labels, -1), file)
+    with pytest.raises(ValueError, match="values: expected"):
+        scenesplat.to_source_rows(scene, found.labels[1:], -1)
+
+
 def test_features_query_and_objects(demo, room, network, tmp_path):
     ply = demo / "room.ply"
     for words in (["features", ply], ["query", ply, "red chair"], ["objects", ply]):

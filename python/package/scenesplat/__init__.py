@@ -20,6 +20,7 @@ from ._pictures import (
     render,
     render_features,
 )
+from ._rows import to_source_rows
 from ._scenesplat import (
     Camera,
     Error,
@@ -67,5 +68,6 @@ __all__ = [
     "render_features",
     "segment",
     "set_num_threads",
+    "to_source_rows",
     "train",
 ]

@@ -266,6 +266,8 @@ def objects(
     features: Path | FloatArray | None = None,
     text: Path | None = None,
     text_names: Path | None = None,
+    text_model: Path | None = None,
+    template: Sequence[str] = (),
     without: Sequence[str] = (),
     min_score: float | None = None,
     min_margin: float | None = None,
@@ -278,6 +280,8 @@ def objects(
     floor: float | None = None,
     as_is: bool = False,
     max_memory: str | None = None,
+    effect: str | None = None,
+    effect_plan: Path | None = None,
     progress: Progress | None = None,
 ) -> Objects:
     """The objects of a scene with their boxes, as `scenesplat objects` writes them.
@@ -292,6 +296,7 @@ def objects(
     """
     with as_file("features", features) as file:
         words = flags(
+            repeated=("template",),
             label_names=label_names,
             label_base=label_base,
             pieces=pieces,
@@ -300,6 +305,8 @@ def objects(
             features=file,
             text=text,
             text_names=text_names,
+            text_model=text_model,
+            template=template,
             without=without,
             min_score=min_score,
             min_margin=min_margin,
@@ -312,6 +319,8 @@ def objects(
             floor=floor,
             as_is=as_is,
             max_memory=max_memory,
+            effect=effect,
+            effect_plan=effect_plan,
         )
         (labels, scores, names), instances, table = native.objects(
             scene, native_of(network), words, progress
