@@ -172,14 +172,12 @@ def votes(random):
     labels = random.integers(0, 20, len(points)).astype(np.int32)
     found, own = best(lambda: kernels.knn_vote(points, labels, 25), 2)
     some = random.choice(len(points), 200, replace=False)
-    began = time.perf_counter()
     expected = []
     for row in some:
         far = ((points[row].astype(np.float64) - points) ** 2).sum(-1)
         near = np.argsort(far, kind="stable")[:25]
         expected.append(np.bincount(labels[near], minlength=20).argmax())
-    ms = 1e3 * (time.perf_counter() - began) * len(points) / len(some)
-    line("knn_vote, 1M points, k = 25 (numpy scaled up)", own, ms, None, f"{(found[some] != expected).sum()} of 200")
+    line("knn_vote, 1M points, k = 25", own, float("nan"), None, f"{(found[some] != expected).sum()} of 200")
 
 
 def main():
