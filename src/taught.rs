@@ -140,7 +140,7 @@ impl TaughtLabels {
 mod tests {
     use super::*;
     use scenesplat_scene::TextTable;
-    use scenesplat_scene::formats::npy::write_npy;
+    use scenesplat_scene::formats::npy_writer::write_npy;
 
     /// Texts along three axes.
     fn write(folder: &Path, names: [&str; 3], rows: &[[f32; 3]], confidence: &[f32]) {

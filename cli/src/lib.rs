@@ -1,12 +1,15 @@
 //! The `scenesplat` program as a function: the binary calls [`run`], tests call [`run_captured`] in their own
-//! process.
+//! process. Another program calls what a command computes by [`called`].
 //!
 //! A command runs on the thread that calls, and on the thread pool of that thread. Outside of a pool the first
 //! command makes the global pool, with the calling thread in it, so that a program runs one command. What belongs to
-//! a process and not to a command is in the binary: the allocator, the signal of a cut file.
+//! a process and not to a command the binary does before: [`allocator`], [`signals`].
 
+pub mod allocator;
 mod bench;
 mod budget;
+pub mod called;
+mod caller;
 mod commands;
 mod defaults;
 mod duration;
@@ -21,6 +24,7 @@ mod progress;
 mod receipt;
 mod session;
 mod setting;
+pub mod signals;
 mod surfaces;
 mod terminal;
 mod threads;

@@ -1,5 +1,6 @@
 //! What a long command shows: a bar on a terminal, plain lines elsewhere; and stopping on Ctrl-C or SIGTERM.
 
+use crate::caller::caller;
 use crate::flags::Running;
 use crate::log::{self, Level, Stage};
 use crate::terminal::{is_terminal, note_warning, say, tell};
@@ -35,9 +36,9 @@ pub fn listen_for_interrupt() -> std::io::Result<()> {
     Ok(())
 }
 
-/// Whether the user or the system asked to stop.
+/// Whether the user or the system asked to stop, or the program that called.
 pub fn interrupted() -> bool {
-    STOP.load(Ordering::SeqCst)
+    STOP.load(Ordering::SeqCst) || caller().is_some_and(|caller| caller.stops())
 }
 
 /// Shows the steps of a command on standard error.
@@ -53,14 +54,16 @@ pub struct Progress {
 const LINE_EVERY: Duration = Duration::from_secs(10);
 
 impl Progress {
-    /// Begins a command: takes its threads, and listens for Ctrl-C.
+    /// Begins a command: takes its threads, and listens for Ctrl-C unless a caller does.
     ///
     /// # Errors
     /// If there cannot be that many threads.
     pub fn start(running: &Running) -> Result<Self> {
         set_threads(running.threads)?;
-        // A handler is there already when several commands run in one process.
-        let _ = listen_for_interrupt();
+        if caller().is_none() {
+            // A handler is there already when several commands run in one process.
+            let _ = listen_for_interrupt();
+        }
         Ok(Self::new(running.quiet))
     }
 
@@ -76,6 +79,9 @@ impl Progress {
 
     /// Says one line.
     pub fn say(&self, text: impl AsRef<str>) {
+        if let Some(caller) = caller() {
+            return caller.say(text.as_ref());
+        }
         if self.quiet {
             return;
         }
@@ -93,7 +99,9 @@ impl Progress {
     /// Says a warning on standard error, whether quiet or not, each once. Whether it is new.
     pub fn warn(&self, text: &str) -> bool {
         let is_new = note_warning(text);
-        if is_new {
+        if let Some(caller) = caller().filter(|_| is_new) {
+            caller.warn(text);
+        } else if is_new {
             self.put(Level::Warning, text);
         }
         is_new
@@ -101,6 +109,9 @@ impl Progress {
 
     /// Shows how far a step is, `done` in 0..=1.
     pub fn advance(&self, step: &str, done: f64) {
+        if let Some(caller) = caller() {
+            return caller.advance(step, done);
+        }
         if self.quiet {
             return;
         }

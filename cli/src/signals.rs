@@ -1,18 +1,9 @@
-//! What the system tells a running program, and what it leaves in errors.
-
-/// Makes errors short and a cut file no silent end; called before any thread is started.
-pub fn prepare() {
-    // SAFETY: no other thread runs yet that could read the environment. Panics still show where they
-    // came from; errors name the file and the value, a list of functions would hide them.
-    unsafe { std::env::set_var("RUST_LIB_BACKTRACE", "0") };
-    #[cfg(target_os = "linux")]
-    say_when_a_file_is_cut();
-}
+//! What the system tells a running program.
 
 /// Says why, and ends with exit code 1, where the system stops the program because a mapped file has
 /// become shorter (SIGBUS); without that it would end without a word.
 #[cfg(target_os = "linux")]
-fn say_when_a_file_is_cut() {
+pub fn say_when_a_file_is_cut() {
     extern "C" fn cut(_: libc::c_int) {
         const TEXT: &[u8] =
             b"error: a file that was being read was cut short by another program, or \
@@ -26,3 +17,7 @@ fn say_when_a_file_is_cut() {
     // SAFETY: the handler allocates nothing, takes no lock and does not return.
     unsafe { libc::signal(libc::SIGBUS, cut as *const () as libc::sighandler_t) };
 }
+
+/// Elsewhere the system says it.
+#[cfg(not(target_os = "linux"))]
+pub fn say_when_a_file_is_cut() {}

@@ -1,11 +1,15 @@
 //! What goes to standard output and error, and small text files.
 
+use crate::caller::caller;
 use crate::log::{self, Level};
 use anyhow::{Context, Result, bail};
 use scenesplat::scene::{AtomicFile, printable_text};
 use std::cell::{Cell, RefCell};
+use std::ffi::OsString;
 use std::io::{Error, ErrorKind, IsTerminal, Write, stderr};
-use std::path::{Path, PathBuf};
+use std::path::Path;
+use std::process::Command;
+use std::sync::OnceLock;
 
 /// Writes a text file, which appears when it is complete. Gives its size.
 pub fn write_text(path: &Path, text: &str) -> Result<u64> {
@@ -45,15 +49,28 @@ pub fn is_terminal() -> bool {
     CAPTURED.with_borrow(Option::is_none) && stderr().is_terminal()
 }
 
-/// The program's file, to start it once more.
+/// How this program is started, where its file is another's, such as an interpreter's.
+static STARTED_BY: OnceLock<Vec<OsString>> = OnceLock::new();
+
+/// Says how this program is started: the words before its arguments. Of several calls the first counts.
+pub fn started_by(words: Vec<OsString>) {
+    let _ = STARTED_BY.set(words);
+}
+
+/// The command that starts this program once more.
 ///
 /// # Errors
 /// If a command runs inside of another program, or the system does not tell.
-pub fn this_program() -> Result<PathBuf> {
-    if CAPTURED.with_borrow(Option::is_some) {
+pub fn this_program() -> Result<Command> {
+    if CAPTURED.with_borrow(Option::is_some) || caller().is_some() {
         bail!("this command starts the program once more: run it as a process");
     }
-    std::env::current_exe().context("cannot find this program")
+    if let Some((program, words)) = STARTED_BY.get().and_then(|words| words.split_first()) {
+        let mut command = Command::new(program);
+        command.args(words);
+        return Ok(command);
+    }
+    Ok(Command::new(std::env::current_exe().context("cannot find this program")?))
 }
 
 /// Writes text to standard output; [`check_output`] tells whether it got there.

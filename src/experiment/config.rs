@@ -344,7 +344,7 @@ impl ExperimentConfig {
     /// # Errors
     /// As [`read`](Self::read).
     pub fn read_with(path: &Path, variable: &dyn Fn(&str) -> Option<String>) -> Result<Self> {
-        Self::from_table(path, &read_table(path, variable, &mut Vec::new())?)
+        Self::of_table(path, &read_table(path, variable, &mut Vec::new())?)
     }
 
     /// As [`read`](Self::read), with changes such as `optimizer.lr=1e-3` or `train.0.repeat=4`: the path of a setting, and
@@ -357,10 +357,14 @@ impl ExperimentConfig {
         for change in changes {
             set(&mut table, change)?;
         }
-        Self::from_table(path, &table)
+        Self::of_table(path, &table)
     }
 
-    fn from_table(path: &Path, table: &toml::Table) -> Result<Self> {
+    /// An experiment whose settings are at hand; relative paths start at the folder of `path`, which messages name.
+    ///
+    /// # Errors
+    /// If there are unknown or wrong fields.
+    pub fn of_table(path: &Path, table: &toml::Table) -> Result<Self> {
         let place = || path.display().to_string();
         let text = toml::to_string(table).at(place)?;
         let mut config: Self = toml::from_str(&text).at(place)?;

@@ -24,7 +24,7 @@ pub use export::exported_checkpoint;
 pub use identity::{MAY_CHANGE, identity};
 pub use limits::LimitsConfig;
 pub use lr_search::{LrReport, search_lr};
-pub use run::{MakeConsole, RunOptions, RunReport, train, train_together};
+pub use run::{MakeConsole, RunOptions, RunReport, train, train_together, train_with};
 pub use trial::{TrialReport, try_out};
 
 /// A JSON schema of experiments' files, for editors. A test makes it of what the program takes.

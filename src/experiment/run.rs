@@ -20,6 +20,7 @@ use scenesplat_trainers::{
     Alone, Callback, Collective, DataModule, Identity, Progress, Trainer, TrainerConfig,
     TrainingModule,
 };
+use std::cell::RefCell;
 use std::path::{Path, PathBuf};
 use std::rc::Rc;
 use std::sync::Arc;
@@ -90,6 +91,19 @@ pub fn train_together(
     options: &RunOptions,
     collective: Rc<dyn Collective>,
 ) -> Result<RunReport> {
+    train_with(config, options, collective, Vec::new())
+}
+
+/// As [`train_together`], with callbacks that rank 0 tells of every event.
+///
+/// # Errors
+/// As [`train_together`]; also what a callback gives.
+pub fn train_with(
+    config: &ExperimentConfig,
+    options: &RunOptions,
+    collective: Rc<dyn Collective>,
+    callbacks: Vec<Box<dyn Callback>>,
+) -> Result<RunReport> {
     let leads = collective.rank() == 0;
     // Rank 0 holds it for all.
     let lock = || leads.then(|| FolderLock::acquire(&options.out)).transpose();
@@ -119,6 +133,7 @@ pub fn train_together(
         classes: text.map(|t| t.table.names.clone()),
         teacher: teacher.map(|t| Arc::clone(&t.record)),
         collective,
+        callbacks: RefCell::new(callbacks),
     };
     let (progress, (model, more)) = opened.with_module(config, &run)?;
     let mut remarks = opened.remarks;
@@ -164,6 +179,8 @@ struct Run<'a> {
     classes: Option<Vec<String>>,
     teacher: Option<Arc<TeacherRecord>>,
     collective: Rc<dyn Collective>,
+    /// The caller's, until the training begins.
+    callbacks: RefCell<Vec<Box<dyn Callback>>>,
 }
 
 /// The exported model, with remarks.
@@ -196,6 +213,9 @@ impl Work for Run<'_> {
         }
         if let Some(console) = self.options.console.filter(|_| leads) {
             trainer = trainer.with_callback(console());
+        }
+        if leads {
+            trainer = trainer.with_callbacks(self.callbacks.take());
         }
         if let Some(stopping) = &self.config.early_stopping {
             trainer = trainer.with_callback(stopping.callback());

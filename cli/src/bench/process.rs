@@ -8,7 +8,7 @@ use crate::terminal::{print, this_program};
 use anyhow::{Context, Result, bail};
 use std::io::Read;
 use std::path::{Path, PathBuf};
-use std::process::{Child, Command, Stdio};
+use std::process::{Child, Stdio};
 use std::time::{Duration, SystemTime, UNIX_EPOCH};
 
 /// How often a row's process is looked at.
@@ -66,7 +66,7 @@ pub fn run_in_a_process(args: &[&str], variables: &[(&str, &str)]) -> Result<Str
     if interrupted() {
         return Err(Stopped.into());
     }
-    let child = Command::new(this_program()?)
+    let child = this_program()?
         .args(args)
         .envs(variables.iter().copied())
         // The words say all that it is to do.

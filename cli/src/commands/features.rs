@@ -2,17 +2,20 @@
 
 use super::many::OneOrMany;
 use crate::budget::{BudgetArgs, Job, within_budget};
-use crate::effects::EffectArgs;
+use crate::effects::{EffectArgs, Wish};
 use crate::error::refuse;
 use crate::flags::{Inference, PreviewArgs, Shared};
 use crate::session::Session;
 use anyhow::Result;
+use scenesplat::SceneFeatures;
 use scenesplat::outputs::{
-    FeatureType, ResultColumns, write_colored_ply, write_features_npy, write_features_safetensors,
+    FeatureType, OpenedScene, ResultColumns, write_colored_ply, write_features_npy,
+    write_features_safetensors,
 };
 use scenesplat::principal::principal_colors;
 use scenesplat::scene::formats::npy_writer::write_npy;
 use scenesplat_lab::compensation::Consumer;
+use std::path::Path;
 
 /// Writes features.npy ([N, D], one row per Gaussian of the file), features.ply and preview.png
 /// (colored by the features' three principal components) and a receipt; with the setting codes=K
@@ -75,11 +78,32 @@ pub enum Format {
 /// Where the directions are written that short features are coordinates along.
 const AXES: &str = "feature_axes.npy";
 
-/// Runs the command.
-pub fn run(args: &Args, line: &str) -> Result<()> {
-    if args.inference.setting.as_ref().is_some_and(|setting| setting.k.is_some()) {
+/// Opens the scene and runs the network over it.
+pub fn encode(
+    session: &Session<'_>,
+    scene: &Path,
+    inference: &Inference,
+    wish: &Wish,
+) -> Result<(OpenedScene, SceneFeatures)> {
+    let network = session.network(inference)?;
+    let opened = session.open(scene, inference)?;
+    let consumer = Consumer { network: true, labels: false };
+    let about = session.compensation(wish, &opened, inference, consumer)?;
+    let features = session.encode(&opened, &network, inference, &about)?;
+    Ok((opened, features))
+}
+
+/// Refuses what features have no use for.
+pub fn check(inference: &Inference) -> Result<()> {
+    if inference.setting.as_ref().is_some_and(|setting| setting.k.is_some()) {
         refuse!("--setting k: features have no labels that neighbors could vote on");
     }
+    Ok(())
+}
+
+/// Runs the command.
+pub fn run(args: &Args, line: &str) -> Result<()> {
+    check(&args.inference)?;
     let job = Job {
         command: "features",
         scene: &args.input.scene,
@@ -98,13 +122,8 @@ pub fn run(args: &Args, line: &str) -> Result<()> {
     let mut names = vec![features_file, "features.ply", "preview.png"];
     names.extend(inference.effective.codes.map(|_| AXES));
     session.outputs.open_folder(&names)?;
-    let network = session.network(&inference)?;
-    let opened = session.open(&args.input.scene, &inference)?;
+    let (opened, features) = encode(&session, &args.input.scene, &inference, &wish)?;
     let scene = &opened.loaded.scene;
-    let consumer = Consumer { network: true, labels: false };
-    let about = session.compensation(&wish, &opened, &inference, consumer)?;
-    let features = session.encode(&opened, &network, &inference, &about)?;
-    drop(network);
     {
         let _stage = session.receipt.stage("write");
         let dtype = args.dtype.into();

@@ -8,7 +8,7 @@ use anyhow::{Context, Result, bail};
 use scenesplat::alignment::{Alignment, AlignmentSettings};
 use scenesplat::datasets::Orientation;
 use scenesplat::inspect::sheet::{sheet_name, write_sheet};
-use scenesplat::inspect::{Finding, InspectSettings, inspect};
+use scenesplat::inspect::{Finding, InspectSettings, Inspection, inspect};
 use scenesplat::kernels::Precision;
 use scenesplat::memory::machine_memory;
 use scenesplat::models::weights::resolve;
@@ -55,13 +55,18 @@ pub struct Args {
     pub shared: Shared,
 }
 
-/// Runs the command.
-pub fn run(args: &Args, line: &str) -> Result<()> {
+/// The network whose cost is asked for: the flags that name it, its name and what it is.
+pub fn asked(args: &Args) -> Result<(NetworkArgs, String, NetworkConfig)> {
     let setting = args.setting.clone().unwrap_or_default();
     let chosen = args.network.with_net(setting.net.as_deref())?;
-    let session = Session::start_with(&args.shared, &chosen, line)?;
     let (name, config) = network(&chosen)?;
-    let config = settled(config, &setting)?;
+    Ok((chosen, name, settled(config, &setting)?))
+}
+
+/// Runs the command.
+pub fn run(args: &Args, line: &str) -> Result<()> {
+    let (chosen, name, config) = asked(args)?;
+    let session = Session::start_with(&args.shared, &chosen, line)?;
     session.outputs.reads(&args.scene)?;
     session.outputs.claim_any("--json", args.json.as_ref())?;
     let sheet = sheet_path(args)?;
@@ -79,45 +84,73 @@ pub fn run(args: &Args, line: &str) -> Result<()> {
         opened
     };
     session.check_stop()?;
-    let alignment = alignment(&session, args, &chosen, &opened, &config)?;
-    let mut seen = {
-        let _stage = session.receipt.stage("inspect");
-        let settings = InspectSettings {
-            from_points: opened.converted,
-            up: Some(alignment.up.clone()),
-            unit: Some(alignment.read_unit()),
-            grid_size: config.model.grid_size,
-            network: Some((name, config)),
-            machine_bytes: machine_memory().map(|bytes| bytes.0),
-        };
-        inspect(&opened.loaded, &settings)
-    };
-    seen.findings.iter_mut().chain(&mut seen.notes).for_each(name_flags);
-    print(&seen.to_string());
+    let seen = look(args, &session, (&chosen, name, config), &opened)?;
+    let inspection = &seen.inspection;
+    print(&inspection.to_string());
     session.check_stop()?;
     if let Some(path) = &args.json {
-        let mut report = serde_json::to_value(&seen)?;
-        report["alignment"] = serde_json::to_value(alignment.report())?;
-        session.write_file(path, &serde_json::to_string_pretty(&report)?)?;
+        session.write_file(path, &serde_json::to_string_pretty(&seen.json()?)?)?;
     }
     if let Some(path) = &sheet {
         let _stage = session.receipt.stage("picture");
         let waiting = session.outputs.file_path(path)?;
-        let bytes = write_sheet(&waiting, &opened.loaded.scene, &seen)?;
+        let bytes = write_sheet(&waiting, &opened.loaded.scene, inspection)?;
         session.receipt.add_bytes_written(bytes);
     }
-    for finding in &seen.findings {
+    for finding in &inspection.findings {
         session.receipt.warning(finding.lines_joined());
     }
     session.finish_quietly()?;
     if let Some(path) = &sheet {
         print(&format!("sheet {}", path.display()));
     }
-    if args.fail_on_findings && !seen.findings.is_empty() {
-        let names: Vec<&str> = seen.findings.iter().map(|f| f.name.as_str()).collect();
+    if args.fail_on_findings && !inspection.findings.is_empty() {
+        let names: Vec<&str> = inspection.findings.iter().map(|f| f.name.as_str()).collect();
         bail!("{}: {} findings: {}", args.scene.display(), names.len(), names.join(", "));
     }
     Ok(())
+}
+
+/// What is in a scene, and how it lies.
+pub struct Seen {
+    /// What is in it, what is wrong with it, what the network will cost.
+    pub inspection: Inspection,
+    /// How `segment` would read it.
+    pub alignment: Alignment,
+}
+
+impl Seen {
+    /// Everything, as the file of `--json` has it.
+    ///
+    /// # Errors
+    /// If it cannot be written as JSON.
+    pub fn json(&self) -> Result<serde_json::Value> {
+        let mut report = serde_json::to_value(&self.inspection)?;
+        report["alignment"] = serde_json::to_value(self.alignment.report())?;
+        Ok(report)
+    }
+}
+
+/// Looks at a scene. `network`: as the flags name it, its name and what it is.
+pub fn look(
+    args: &Args,
+    session: &Session<'_>,
+    (chosen, name, config): (&NetworkArgs, String, NetworkConfig),
+    opened: &OpenedScene,
+) -> Result<Seen> {
+    let alignment = alignment(session, args, chosen, opened, &config)?;
+    let _stage = session.receipt.stage("inspect");
+    let settings = InspectSettings {
+        from_points: opened.converted,
+        up: Some(alignment.up.clone()),
+        unit: Some(alignment.read_unit()),
+        grid_size: config.model.grid_size,
+        network: Some((name, config)),
+        machine_bytes: machine_memory().map(|bytes| bytes.0),
+    };
+    let mut inspection = inspect(&opened.loaded, &settings);
+    inspection.findings.iter_mut().chain(&mut inspection.notes).for_each(name_flags);
+    Ok(Seen { inspection, alignment })
 }
 
 /// How `segment` would read the scene. The network inside the program is run only where the scene leaves up or the unit

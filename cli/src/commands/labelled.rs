@@ -123,6 +123,11 @@ impl LabelArgs {
         self.labelling.classes.claim_inputs(&session.outputs)
     }
 
+    /// With the parts of the setting among the flags.
+    pub fn settled(&self) -> Result<Self> {
+        Ok(Self { labelling: self.labelling.settled()?, ..self.clone() })
+    }
+
     /// What is an object.
     pub fn settings(&self) -> ObjectSettings {
         ObjectSettings { min_count: self.min_count, gap: self.gap, ..ObjectSettings::default() }

@@ -53,7 +53,7 @@ pub const OBJECT_FILES: [&str; 3] = ["instances.npy", "objects.json", "objects.c
 
 /// Runs the command.
 pub fn run(args: &Args, line: &str) -> Result<()> {
-    let labels = &LabelArgs { labelling: args.labels.labelling.settled()?, ..args.labels.clone() };
+    let labels = &args.labels.settled()?;
     let inference = &labels.labelling.inference;
     let session = Session::start_network(&args.shared, inference, None, line)?;
     labels.claim_inputs(&session)?;

@@ -1,6 +1,6 @@
 //! `scenesplat room`
 
-use super::{Cli, Command};
+use super::Cli;
 use crate::error::refuse;
 use crate::flags::Shared;
 use crate::receipt::sha256_of;

@@ -5,12 +5,12 @@ use crate::error::refuse;
 use crate::flags::Inference;
 use crate::progress::interrupted;
 use anyhow::Result;
-use scenesplat::SceneEncoder;
 use scenesplat::alignment::judge::Judge;
 use scenesplat::alignment::{Alignment, AlignmentSettings, Remark};
 use scenesplat::inference::EncodeError;
 use scenesplat::outputs::OpenedScene;
 use scenesplat::scene::Up;
+use scenesplat::{Network, SceneEncoder};
 
 impl Session<'_> {
     /// How a scene lies: as the network of this run reads it, or, without one, by its shape.
@@ -18,6 +18,20 @@ impl Session<'_> {
         // The network inside the program knows rooms along the axes: one answer for all who ask.
         let is_square = inference.network.is_embedded();
         self.shape_alignment(opened, &inference.alignment(&opened.loaded, is_square))
+    }
+
+    /// How a scene lies as a network reads it.
+    pub fn alignment_of(
+        &self,
+        opened: &OpenedScene,
+        inference: &Inference,
+        network: &Network,
+    ) -> Result<Alignment> {
+        let settings = inference.alignment(&opened.loaded, network.is_square());
+        match inference.network.is_embedded() {
+            true => self.judged_alignment(opened, &settings, &self.encoder(network, inference)),
+            false => Ok(self.shape_alignment(opened, &settings)),
+        }
     }
 
     /// How a scene lies by its shape, if nothing else was found out before.

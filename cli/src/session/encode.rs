@@ -39,11 +39,7 @@ impl Session<'_> {
     ) -> Result<SceneFeatures> {
         let scene = &opened.loaded.scene;
         let encoder = self.encoder(network, inference);
-        let settings = inference.alignment(&opened.loaded, network.is_square());
-        let alignment = match inference.network.is_embedded() {
-            true => self.judged_alignment(opened, &settings, &encoder)?,
-            false => self.shape_alignment(opened, &settings),
-        };
+        let alignment = self.alignment_of(opened, inference, network)?;
         let _stage = self.receipt.stage("network");
         self.tell_alignment(&alignment, inference.as_is);
         self.tell_floor(&alignment, network.input().reads_height(), inference.floor)?;
@@ -72,7 +68,11 @@ impl Session<'_> {
         Ok(features)
     }
 
-    fn encoder<'n>(&self, network: &'n Network, inference: &Inference) -> SceneEncoder<'n> {
+    pub(super) fn encoder<'n>(
+        &self,
+        network: &'n Network,
+        inference: &Inference,
+    ) -> SceneEncoder<'n> {
         let encoder = SceneEncoder {
             fidelity: if inference.exact { Fidelity::Exact } else { Fidelity::Fast },
             grid_size: inference.grid_size.unwrap_or(network.grid_size()),

@@ -17,6 +17,7 @@ use crate::progress::{Progress, interrupted};
 use crate::receipt::Receipt;
 use anyhow::{Context, Result};
 pub use open::FeatureSource;
+use scenesplat::Network;
 use scenesplat::alignment::Alignment;
 use scenesplat::inference::EncodeError;
 use scenesplat::kernels::simd::Isa;
@@ -25,6 +26,15 @@ use scenesplat::outputs::OpenedScene;
 use scenesplat::scene::frame_files::{FoundFiles, FrameFiles};
 use std::cell::RefCell;
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
+
+/// What a caller in this process holds, so that it need not be read.
+struct Held {
+    /// Scenes that have not been asked for yet.
+    scenes: RefCell<Vec<OpenedScene>>,
+    /// The network that the flags name.
+    network: Option<Arc<Network>>,
+}
 
 /// A running command.
 pub struct Session<'a> {
@@ -39,6 +49,8 @@ pub struct Session<'a> {
     written: RefCell<Vec<(PathBuf, u64)>>,
     /// The scene, where a budget had to look at it before.
     input: RefCell<Option<(OpenedScene, Option<String>)>>,
+    /// What the caller holds, where the command is a function of another program.
+    held: Option<Held>,
     /// How the scene of this file lies, and whether its walls were looked at: one answer for network, boxes and
     /// pictures.
     aligned: RefCell<Option<(PathBuf, bool, Alignment)>>,
@@ -54,7 +66,13 @@ impl<'a> Session<'a> {
         let outputs = Outputs::new(&shared.out);
         outputs.claim_any("--receipt", shared.receipt.as_ref())?;
         let (written, input, aligned) = Default::default();
-        Ok(Self { shared, receipt, progress, outputs, written, input, aligned })
+        let held = None;
+        Ok(Self { shared, receipt, progress, outputs, written, input, held, aligned })
+    }
+
+    /// Takes scenes, which go by their paths, and a network that the caller holds, for those that the flags name.
+    pub fn hold(&mut self, scenes: Vec<OpenedScene>, network: Option<Arc<Network>>) {
+        self.held = Some(Held { scenes: RefCell::new(scenes), network });
     }
 
     /// As [`start`](Self::start) for a command with a network, whose files are inputs.

@@ -9,10 +9,16 @@ use scenesplat::kernels::simd::Isa;
 use scenesplat::models::{Compute, DeviceChoice, LoadPolicy, OpenDevice};
 use scenesplat::network::{WeightOptions, Weights, network_of};
 use scenesplat::scene::printable;
+use std::sync::Arc;
 
 impl Session<'_> {
-    /// Loads the network that the flags name, and reports and records its weights.
-    pub fn network(&self, inference: &Inference) -> Result<Network> {
+    /// The network that the flags name: the caller's, or it is loaded, and its weights are reported and recorded.
+    pub fn network(&self, inference: &Inference) -> Result<Arc<Network>> {
+        let held = self.held.as_ref().and_then(|held| held.network.as_ref());
+        held.map_or_else(|| Ok(Arc::new(self.load(inference)?)), |network| Ok(Arc::clone(network)))
+    }
+
+    fn load(&self, inference: &Inference) -> Result<Network> {
         let _stage = self.receipt.stage("weights");
         let weights = &inference.network.weights()?;
         if *weights == Weights::Embedded && inference.network.config.is_some() {

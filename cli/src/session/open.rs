@@ -9,11 +9,12 @@ use scenesplat::input::open_input;
 use scenesplat::outputs::OpenedScene;
 use scenesplat::scene::ReadOptions;
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 
 /// Where features come from.
 pub enum FeatureSource {
     /// A network that is run over the scene.
-    Network(Box<Network>),
+    Network(Arc<Network>),
     /// The language codes of the scene.
     Codes,
     /// A file with a row per Gaussian.
@@ -55,19 +56,33 @@ impl Session<'_> {
     /// Gaussians.
     pub fn open_with(&self, path: &Path, options: &ReadOptions) -> Result<OpenedScene> {
         let _stage = self.receipt.stage("read");
+        if let Some(opened) = self.take_held(path) {
+            // Who holds it knows what it is, and was told what was repaired.
+            return Ok(opened);
+        }
         let opened = self.read(path, options)?;
+        self.receipt.add_rows_in(opened.loaded.source_rows());
         if !opened.loaded.report.is_clean() {
             self.warn(opened.loaded.report.to_string());
         } else if opened.loaded.scene.has_origin() {
             self.progress.say(opened.loaded.report.to_string());
         }
-        self.receipt.add_rows_in(opened.loaded.source_rows());
         self.receipt.fingerprint("input", path)?;
         Ok(opened)
     }
 
+    /// A scene that the caller holds, the first time that it is asked for.
+    fn take_held(&self, path: &Path) -> Option<OpenedScene> {
+        let mut scenes = self.held.as_ref()?.scenes.borrow_mut();
+        let at = scenes.iter().position(|scene| scene.loaded.path == path)?;
+        Some(scenes.remove(at))
+    }
+
     /// Reads a scene without a report of its values; a labeled point cloud is turned into Gaussians.
     pub fn read(&self, path: &Path, options: &ReadOptions) -> Result<OpenedScene> {
+        if let Some(opened) = self.take_held(path) {
+            return Ok(opened);
+        }
         self.outputs.reads(path)?;
         self.progress.say(format!("reading {}", path.display()));
         let before = self.input.take().filter(|(opened, _)| opened.loaded.path == path);
@@ -103,9 +118,9 @@ impl Session<'_> {
         if inference.network.weights.is_some() {
             let network = self.network(inference)?;
             check(&network)?;
-            return Ok((self.open(path, inference)?, FeatureSource::Network(Box::new(network))));
+            return Ok((self.open(path, inference)?, FeatureSource::Network(network)));
         }
-        if !path.exists() {
+        if self.held.is_none() && !path.exists() {
             // The missing file is the better message.
             return self.open(path, inference).map(|opened| (opened, FeatureSource::Codes));
         }
@@ -113,7 +128,7 @@ impl Session<'_> {
         let Some(code) = &opened.loaded.scene.lang_code else {
             let network = self.network(inference)?;
             check(&network)?;
-            return Ok((opened, FeatureSource::Network(Box::new(network))));
+            return Ok((opened, FeatureSource::Network(network)));
         };
         if let Some(flag) = inference.network_flag() {
             refuse!("{flag} is about the network; give --weights too");

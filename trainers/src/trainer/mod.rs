@@ -108,6 +108,13 @@ impl Trainer {
         self
     }
 
+    /// Adds several callbacks.
+    #[must_use]
+    pub fn with_callbacks(mut self, callbacks: Vec<Box<dyn Callback>>) -> Self {
+        self.callbacks.extend(callbacks);
+        self
+    }
+
     /// Once the flag is set, the run saves and stops after the step under way.
     #[must_use]
     pub fn with_stop(mut self, stop: Arc<AtomicBool>) -> Self {

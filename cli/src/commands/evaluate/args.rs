@@ -132,7 +132,7 @@ impl Args {
             Some(file) => Ok(Some(FeatureSource::File(file.into()))),
             None => {
                 let network = session.network(&self.inference)?;
-                Ok(Some(FeatureSource::Network(Box::new(network))))
+                Ok(Some(FeatureSource::Network(network)))
             }
         }
     }

@@ -16,6 +16,7 @@ use scenesplat::evaluation::{Evaluation, EvaluationError, Restraint, other_ids};
 use scenesplat::outputs::OpenedScene;
 use scenesplat::scene::{LoadedScene, label_names};
 use scenesplat_lab::compensation::Consumer;
+use serde_json::Value;
 use std::time::Instant;
 
 /// Runs the command.
@@ -24,38 +25,49 @@ pub fn run(args: &Args, line: &str) -> Result<()> {
     let (args, vote_k) = &args.settled()?;
     let session = Session::start_network(&args.shared, &args.inference, None, line)?;
     args.claim_inputs(&session.outputs)?;
+    let json = figures(args, &session, *vote_k, || session.outputs.open_folder(&[EVALUATION]))?;
+    report::write(&session, json, began, args.json.as_deref())?;
+    session.finish()
+}
+
+/// Scores the scenes; gives the figures, and says them. `begin` is called once all that is asked for fits together.
+pub fn figures(
+    args: &Args,
+    session: &Session<'_>,
+    vote_k: usize,
+    begin: impl FnOnce() -> Result<()>,
+) -> Result<Value> {
     let inputs = scenes::inputs(&args.scenes)?;
-    let wish = args.wish(&session, inputs.len())?;
-    let source = args.source(&session, inputs.len())?;
+    let wish = args.wish(session, inputs.len())?;
+    let source = args.source(session, inputs.len())?;
     let text = args.text_table(source.as_ref())?;
-    let settings = args.settings(&text, *vote_k)?;
+    let settings = args.settings(&text, vote_k)?;
     let excluded = settings.excluded.clone();
     let class_of = args.classes_of_labels(&text.names)?;
     let names_of_labels = class_of.as_ref().map(Vec::len);
     let mut evaluation = Evaluation::new(&text, settings)?;
-    session.outputs.open_folder(&[EVALUATION])?;
-    args.classes.record(&session)?;
+    begin()?;
+    args.classes.record(session)?;
     session.receipt.setting("vote_k", vote_k, "neighbors that vote on each label");
     let names: Vec<&str> = excluded.iter().map(|&c| text.names[c].as_str()).collect();
     session.receipt.setting("exclude", names.join(","), "left out of f-mIoU and f-mAcc");
 
     for input in &inputs {
-        let mut opened = input.open(&session, &args.inference)?;
+        let mut opened = input.open(session, &args.inference)?;
         if input.is_file() {
-            args.number_labels(&session, &mut opened, names_of_labels.unwrap_or(text.names.len()))?;
+            args.number_labels(session, &mut opened, names_of_labels.unwrap_or(text.names.len()))?;
         }
         let own = input.classes_of_labels(&text.names);
         let class_of = class_of.as_deref().or(own.as_deref());
         let source = source.as_ref().map(|source| (source, &wish));
-        score(args, &session, &mut evaluation, &opened, class_of, source)?;
+        score(args, session, &mut evaluation, &opened, class_of, source)?;
     }
     let meaningless = source.as_ref().is_some_and(FeatureSource::has_random_weights);
     let mut json = report::tell(&evaluation.report(), &text.names, meaningless);
     json["scenes"] = serde_json::json!(inputs.len());
     json["excluded"] = serde_json::json!(excluded);
     json["vote_k"] = serde_json::json!(vote_k);
-    report::write(&session, json, began, args.json.as_deref())?;
-    session.finish()
+    Ok(json)
 }
 
 /// Adds a scene: its truth, which has to come through the chain, and the labels by its features and by what is done

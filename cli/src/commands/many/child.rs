@@ -30,7 +30,7 @@ pub enum Ended {
 /// # Errors
 /// If it cannot be started.
 pub fn run(words: &[OsString]) -> Result<Ended> {
-    let mut command = Command::new(this_program()?);
+    let mut command = this_program()?;
     // The words hold what a file of defaults gave.
     command.args(words).env(FILE_VARIABLE, "").stdin(Stdio::null()).stderr(Stdio::piped());
     end_with_this_process(&mut command);

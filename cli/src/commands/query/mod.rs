@@ -6,13 +6,14 @@ mod guess;
 mod write;
 
 use crate::budget::{Job, within_budget};
+use crate::effects::Wish;
 use crate::error::{WrongUse, refuse};
 use crate::session::{FeatureSource, Session};
 use anyhow::Result;
 pub use args::Args;
-use asked::query;
+pub use asked::query;
 use scenesplat::outputs::OpenedScene;
-use scenesplat::query::{Query, QuerySettings, select};
+use scenesplat::query::{Query, QuerySettings, Selection, select};
 use scenesplat::recognition::{KNOWN, LEAST_SHARE};
 use scenesplat::scene::LabelSet;
 use scenesplat_lab::compensation::Consumer;
@@ -40,10 +41,36 @@ pub fn run(args: &Args, line: &str) -> Result<()> {
     if let Some(path) = &args.embedding {
         session.receipt.fingerprint("embedding", path)?;
     }
-    let (opened, source) = open(args, &session, &query)?;
+    let found = find(args, &session, &query, &wish, vote_k)?;
+    session.check_stop()?;
+    let Found { opened, source, selection } = &found;
+    describe(&args.query, selection, &opened.loaded.scene.coord);
+    write(args, &session, opened, source, selection)?;
+    session.finish()
+}
+
+/// What a query found, where.
+pub struct Found {
+    /// The scene.
+    pub opened: OpenedScene,
+    /// Where its features come from.
+    pub source: FeatureSource,
+    /// The Gaussians that are meant.
+    pub selection: Selection,
+}
+
+/// Opens the scene and selects what is asked for.
+pub fn find(
+    args: &Args,
+    session: &Session<'_>,
+    query: &Query,
+    wish: &Wish,
+    vote_k: usize,
+) -> Result<Found> {
+    let (opened, source) = open(args, session, query)?;
     let scene = &opened.loaded.scene;
     let consumer = Consumer { network: source.is_network(), labels: true };
-    let about = session.compensation(&wish, &opened, &args.inference, consumer)?;
+    let about = session.compensation(wish, &opened, &args.inference, consumer)?;
     let features = session.features(&opened, &source, &args.inference, &about)?;
     if source.is_network() && args.inference.network.is_embedded() {
         let known = session.recognize(&opened, &args.inference, &features, None)?;
@@ -61,13 +88,10 @@ pub fn run(args: &Args, line: &str) -> Result<()> {
             min_margin: args.classes.min_margin,
             vote_k,
         };
-        select(&features, &query, &settings, &scene.coord)?
+        select(&features, query, &settings, &scene.coord)?
     };
     session.note_withheld(found.withhold(about.withheld()), "selected Gaussians");
-    session.check_stop()?;
-    describe(&args.query, &found, &scene.coord);
-    write(args, &session, &opened, &source, &found)?;
-    session.finish()
+    Ok(Found { opened, source, selection: found })
 }
 
 /// The scene and the source of its features, which fit the query.

@@ -134,6 +134,20 @@ impl LoadedScene {
         Ok(Self { scene, report, kept_rows, path, kind, stated_up, unread })
     }
 
+    /// A scene of arrays that no file holds, by the same rules for bad values as files. `name`: what messages call it.
+    ///
+    /// # Errors
+    /// If arrays differ in rows, a value is bad and the policy is strict, or no Gaussian is left.
+    pub fn of_arrays(
+        scene: GaussianScene,
+        policy: Policy,
+        name: &Path,
+    ) -> Result<Self, SceneError> {
+        scene.check_rows()?;
+        let report = RepairReport { source_rows: scene.len(), ..RepairReport::default() };
+        Self::finish(scene, report, policy, name, SceneFormat::Ply)
+    }
+
     /// With what the comments of a PLY file say about up: the name of an axis, as Nerfstudio's exporter
     /// writes it, or three numbers, as Brush's does.
     pub(crate) fn with_remarks(mut self, remarks: &Remarks) -> Self {
