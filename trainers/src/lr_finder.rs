@@ -139,7 +139,7 @@ pub fn find_lr<M: TrainingModule>(
     before.put_back()?;
     match done {
         Err(TrainError::Step { source, .. }) if is_not_finite(&source) => {
-            losses.held().push(f64::NAN)
+            losses.held().push(f64::NAN);
         }
         done => _ = done?,
     }

@@ -196,7 +196,7 @@ mod tests {
             let parsed = program.clone().try_get_matches_from(&words);
             assert!(parsed.is_ok(), "{example}: {}", parsed.unwrap_err());
             assert!(
-                line.starts_with(&format!("scenesplat {}", path)) || *path == "prepare",
+                line.starts_with(&format!("scenesplat {path}")) || *path == "prepare",
                 "{example}"
             );
         }

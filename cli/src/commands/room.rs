@@ -97,6 +97,8 @@ pub fn run(args: &Args, line: &str) -> Result<()> {
         let began = std::time::Instant::now();
         {
             let _stage = session.receipt.stage(stage.name);
+            // `view` writes a file into a folder that is there.
+            std::fs::create_dir_all(&folder).with_context(|| folder.display().to_string())?;
             let words = std::iter::once("scenesplat".to_owned()).chain(stage.words.iter().cloned());
             let command = Cli::try_parse_from(words).context("a stage of room")?.command;
             command

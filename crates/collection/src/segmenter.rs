@@ -129,6 +129,11 @@ pub(crate) mod tests {
         let good = view(4, 3);
         let posed = PosedPicture { name: "a", picture: &picture, view: &good, depth: None };
         posed.check().unwrap();
+        for (size, said) in [((4, 2), "4×2"), ((5, 3), "5×3")] {
+            let other = view(size.0, size.1);
+            let error = PosedPicture { view: &other, ..posed }.check().unwrap_err().to_string();
+            assert!(error.contains(&format!("\"a\" is 4×3, its camera {said}")), "{error}");
+        }
         let other = view(3, 4);
         let error = PosedPicture { view: &other, ..posed }.check().unwrap_err().to_string();
         assert!(error.contains("\"a\" is 4×3, its camera 3×4"), "{error}");

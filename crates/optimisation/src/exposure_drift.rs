@@ -252,6 +252,18 @@ mod tests {
     }
 
     #[test]
+    fn points_that_one_picture_alone_shows_say_nothing() {
+        let mut frames = frames(&[[1.0; 3]; 8]);
+        // The last one stands before another part of the wall.
+        frames[7].view.world_to_camera[0][3] = -100.0;
+        let far = wall().into_iter().map(|[x, y, z]| [x + 100.0, y, z]);
+        let points: Vec<[f32; 3]> = wall().into_iter().chain(far).collect();
+        let drift = exposure_drift(&frames, &points).unwrap();
+        let judged: Vec<bool> = drift.log_gains.iter().map(Option::is_some).collect();
+        assert_eq!(judged, [true, true, true, true, true, true, true, false]);
+    }
+
+    #[test]
     fn a_point_before_what_was_measured_there_is_not_seen() {
         let mut frame = frames(&[[1.0; 3]]).remove(0);
         let point = [0.1, 0.1, 1.0];

@@ -19,7 +19,9 @@ pub struct GraphFile {
 impl GraphFile {
     /// Adds a layer.
     pub fn node(&mut self, name: &str, op: &str, input: &[&str], attr: Value) {
-        self.nodes.push(json!({"name": name, "op": op, "input": input, "attr": attr}));
+        let mut node = json!({"name": name, "op": op, "input": input});
+        node["attr"] = attr;
+        self.nodes.push(node);
     }
 
     /// Adds weights, as the file describes them, with their bytes.

@@ -47,7 +47,7 @@ fn leaf(config: &Value, pointer: &str) -> Value {
 }
 
 fn table(fields: Map<String, Value>) -> Value {
-    json!({ "type": "object", "properties": fields, "additionalProperties": false })
+    json!({ "type": "object", "properties": Value::Object(fields), "additionalProperties": false })
 }
 
 /// The schema of a table with what stands in it.

@@ -22,14 +22,14 @@ impl Callback for JsonConsole {
                 progress("train", &format!("step {}", at.step), at, measurements);
             }
             Event::Eval { name, measurements } => {
-                progress(name, &format!("evaluated {name}"), at, measurements)
+                progress(name, &format!("evaluated {name}"), at, measurements);
             }
             Event::Data { name, left_out } => {
                 let lines = left_out.lines();
                 lines.iter().for_each(|line| say(Level::Warning, &format!("{name}: {line}")));
             }
             Event::Alarm { message } => {
-                say(Level::Warning, &format!("step {}: {message}", at.step))
+                say(Level::Warning, &format!("step {}: {message}", at.step));
             }
             Event::Checkpoint { dir, .. } => {
                 progress("train", &format!("saved {}", dir.display()), at, &[]);

@@ -62,7 +62,7 @@ pub(super) fn search(
             config.optimizer.lr
         )),
         None => {
-            print("learning rate: none to suggest, for the loss does not fall; look at the curve")
+            print("learning rate: none to suggest, for the loss does not fall; look at the curve");
         }
     }
     print(&format!("curve: {} and {}", report.picture.display(), report.table.display()));

@@ -50,7 +50,7 @@ fn normals_are_those_of_the_slow_version() {
         let (x, y) = (i as i64 % w, i as i64 / w);
         let mut sum = DVec3::ZERO;
         for other in (-2..=2)
-            .flat_map(|v| (-2..=2).filter_map(move |u| Some((u, v))))
+            .flat_map(|v| (-2..=2).map(move |u| (u, v)))
             .filter_map(|(u, v)| at(x + u, y + v))
         {
             if (z(other) - z(i)).abs() <= 0.05 * z(i) {

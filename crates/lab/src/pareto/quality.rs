@@ -284,7 +284,7 @@ mod tests {
         (labels[2047], labels[2048], labels[2049]) = (-1, 1, 2);
         let sure = sureness(&features, &text, &labels).unwrap();
         let near = |found: f32, want: f64| {
-            assert!((f64::from(found) - want).abs() < 1e-5, "{found} {want}")
+            assert!((f64::from(found) - want).abs() < 1e-5, "{found} {want}");
         };
         // Divided by 0.05: 16, 12, 0. At twice the temperature 8, 6, 0.
         let of = |scores: [f64; 3]| {

@@ -101,7 +101,7 @@ fn a_prediction_is_the_sum_of_its_terms() {
     // Read 1 + 1, network 2 + 4 + 2, labels 3 + 4 + 0.5 · 8 + 0.00001 · 400 · 5 · 10, results 5 + 6 + 0.7; start 0.5.
     let size = Size { gaussians: 1000, voxels: 400, classes: 5, width: 10, k: 8 };
     let near = |found: Option<f64>, want: f64| {
-        assert!((found.unwrap() - want).abs() < 1e-9, "{found:?} {want}")
+        assert!((found.unwrap() - want).abs() < 1e-9, "{found:?} {want}");
     };
     let (shared, labels) = (0.5 + 2.0 + 8.0, 3.0 + 4.0 + 4.0 + 0.2);
     near(model().seconds("segment", "fine", &size), 2.0 * (shared + labels + 11.7));
@@ -114,7 +114,8 @@ fn a_prediction_is_the_sum_of_its_terms() {
     // Files of before have neither of these.
     let mut old = serde_json::to_value(model()).unwrap();
     let fields = old.as_object_mut().unwrap();
-    (fields.remove("typical"), fields.remove("reserve"));
+    fields.remove("typical");
+    fields.remove("reserve");
     let old: CostModel = serde_json::from_value(old).unwrap();
     assert_eq!((old.typical, old.reserve), (1.0, 0.0));
 }

@@ -221,6 +221,17 @@ fn two_rooms_are_measured_scored_and_compared_with_the_reference() {
     let [oracle, random] = first.bounds.unwrap();
     assert_eq!((oracle.kind, random.kind), (Kind::Oracle, Kind::Random));
     assert!(oracle.f_miou.unwrap() > random.f_miou.unwrap());
+    // Queries are asked of both rooms: the hits of each alone, over the classes of both.
+    let alone = [0, 1].map(|i| {
+        let own = &truth[if i == 0 { 0..sizes[0] } else { sizes[0]..truth.len() }];
+        let classes: std::collections::BTreeSet<i32> =
+            own.iter().map(|t| known(*t)).filter(|t| *t >= 0).collect();
+        let record = measure(&job(&network, &text, &scenes[i..=i])).unwrap().setting;
+        [record.query_hit1.unwrap() * classes.len() as f64, classes.len() as f64]
+    });
+    let [hits, asked] = [0, 1].map(|k| alone[0][k] + alone[1][k]);
+    assert!(alone.iter().all(|room| room[1] > 2.0));
+    assert!((record.query_hit1.unwrap() - hits / asked).abs() < 1e-12, "{alone:?}");
     // Against itself all labels agree. Three of the second room's were others.
     let again = with(Some(&kept), None, false);
     assert_eq!((again.setting.agreement, again.bounds), (Some(1.0), None));

@@ -81,7 +81,8 @@ fn outputs_are_paired_by_their_number_of_places() {
     let found = heads(&shapes, 32).unwrap();
     let head = |scores, distances, places, stride| Head { scores, distances, places, stride };
     assert_eq!(found, [head(1, 3, 4, 8), head(2, 0, 2, 16)]);
-    let refused: [(&[(&str, &[usize])], &str); 5] = [
+    type Refused<'a> = (&'a [(&'a str, &'a [usize])], &'a str);
+    let refused: [Refused<'_>; 5] = [
         (&[("a", &[1, 4, 81])], "81 columns"),
         (&[("a", &[4, 80])], "has shape [4, 80]"),
         (&[("a", &[1, 4, 80])], "no distances of 4 places"),

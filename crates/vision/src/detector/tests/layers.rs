@@ -121,7 +121,7 @@ fn shapes_are_changed_joined_split_and_padded() {
     }
     let concat = operation("ConcatV2", &json!({}));
     let parts = vec![counted(&[2, 1]), floats(&[2, 2], [5.0, 6.0, 7.0, 8.0]), ints(&[1])];
-    check(run(&concat, parts.clone()), &[2, 3], &[0.0, 5.0, 6.0, 1.0, 7.0, 8.0]);
+    check(run(&concat, parts), &[2, 3], &[0.0, 5.0, 6.0, 1.0, 7.0, 8.0]);
     check(
         run(&concat, vec![counted(&[1, 2]), counted(&[1, 2]), ints(&[-2])]),
         &[2, 2],

@@ -19,7 +19,7 @@ fn a_miniature_finds_a_cup_and_a_chair() {
     let settings = DetectorSettings { tiles: 1, ..DetectorSettings::default() };
     let detector = Detector::open(&path, settings).unwrap();
     assert_eq!(detector.bytes(), 4 * (4 + 32 * 32 * 3 * 124 + 124 + 1 + 1 + 3 + 2 + 1));
-    assert_eq!(detector.files(), [path.clone(), folder.path().join("made.bin")]);
+    assert_eq!(detector.files(), [path, folder.path().join("made.bin")]);
     // Blue in the place of column 4, row 2, red in that of column 9, row 7; black elsewhere.
     let picture = RgbPicture::from_fn(416, 416, |x, y| match (x / 32, y / 32) {
         (4, 2) => [0, 0, 255],
