@@ -13,7 +13,8 @@ import scenesplat
 
 
 def test_the_program_runs(tmp_path):
-    assert program("--version").stdout.strip() == f"scenesplat {scenesplat.__version__}"
+    assert program("-V").stdout.strip() == f"scenesplat {scenesplat.__version__}"
+    assert "commit: " in program("--version").stdout
     wrong = program("segment")
     assert wrong.returncode == 2 and "Usage" in wrong.stderr
     missing = program("inspect", tmp_path / "none.ply")
