@@ -21,7 +21,7 @@ pub mod full_scene;
 pub mod input_features;
 pub mod left_out;
 pub mod limits;
-mod loader;
+pub mod loader;
 pub mod masking;
 pub mod mix3d;
 pub mod plan;

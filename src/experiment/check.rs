@@ -2,7 +2,7 @@
 
 use super::config::{ExperimentConfig, TargetChoice, Task};
 use super::error::{ExperimentError, Place};
-use super::limits::check_limits;
+use super::limited::check_limits;
 use scenesplat_datasets::TransformConfig;
 use scenesplat_losses::{ClassSourceConfig, LossConfig};
 use scenesplat_metrics::MAX_VOTERS;

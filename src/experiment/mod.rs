@@ -9,6 +9,7 @@ mod error;
 pub mod export;
 pub mod furniture;
 pub mod identity;
+mod limited;
 mod limits;
 pub mod lr_search;
 mod measured;

@@ -6,6 +6,7 @@
 //! # Source
 //! NanoDet (github.com/RangiLyu/nanodet, Apache 2.0): boxes as distributions over distances (generalized focal loss).
 
+mod attributes;
 mod classes;
 mod decode;
 mod graph;

@@ -1,6 +1,6 @@
 //! What layers of a graph do. Pictures are rows of pixels, channels last, where a layer has neighbors of pixels.
 
-use super::graph::Attributes;
+use super::attributes::Attributes;
 use rayon::prelude::*;
 use scenesplat_kernels::activation::exp_in_place;
 use scenesplat_kernels::gemm::{Epilogue, PackedMatrix, gemm};

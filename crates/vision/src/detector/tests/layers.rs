@@ -7,7 +7,7 @@ use std::sync::Arc;
 fn operation(op: &str, attributes: &Value) -> Operation {
     let map: BTreeMap<String, Value> =
         attributes.as_object().unwrap_or(&Map::new()).clone().into_iter().collect();
-    Operation::of(op, &super::super::graph::Attributes(&map)).unwrap()
+    Operation::of(op, &super::super::attributes::Attributes(&map)).unwrap()
 }
 
 fn run(op: &Operation, inputs: Vec<Tensor>) -> Result<Tensor, String> {
