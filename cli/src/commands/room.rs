@@ -229,6 +229,9 @@ impl Args {
         {
             words.extend([flag.to_owned(), value.to_string()]);
         }
+        if posed.join("depth").is_dir() {
+            words.extend(["--init", "depth"].map(str::to_owned));
+        }
         words.extend(["--out".to_owned(), self.inner("scene")]);
         stage("scene", words);
         let scene = self.inner("scene/scene.ply");

@@ -38,6 +38,7 @@ mod sampling;
 pub mod score;
 pub mod settings;
 pub mod strategy;
+pub mod surfels;
 pub mod view_points;
 mod window;
 

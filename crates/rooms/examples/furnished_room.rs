@@ -1,5 +1,5 @@
 //! Writes a room as PLY, and says what is in it:
-//! `cargo run --release -p scenesplat-rooms --example furnished_room -- CATALOGUE 7 room.ply [held_out] [scan|model] [walk] [flat]`
+//! `cargo run --release -p scenesplat-rooms --example furnished_room -- CATALOGUE 7 room.ply [held_out] [scan|model|depth] [walk] [flat] [public|KIND]`
 
 use scenesplat_rooms::{Capture, FurnitureSplit, SyntheticRoomSettings, generate};
 use scenesplat_scene::formats::inria_ply::write_inria_ply;
@@ -21,8 +21,13 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
             "scan" => settings.capture = Capture::Scan,
             "model" => settings.capture = Capture::Model,
             "flat" => settings.flat_share = 1.0,
+            "depth" => settings.capture = Capture::Depth,
+            "public" => settings.public_share = 1.0,
             "walk" => settings.seen_share = 1.0,
-            split => settings.furniture_split = split.parse::<FurnitureSplit>()?,
+            word => match serde_json::from_value(word.into()) {
+                Ok(kind) => settings.kind = Some(kind),
+                Err(_) => settings.furniture_split = word.parse::<FurnitureSplit>()?,
+            },
         }
     }
     let room = generate(&settings)?;

@@ -5,7 +5,7 @@ use crate::place::{BACKWARDS, Footprint, Layout, Placed, Pose, STRAIGHT};
 use crate::recipe::{self, InFlat, RoomKind};
 use crate::stock::Stock;
 use crate::vector::V3;
-use crate::walk::{Camera, walk};
+use crate::walk::{Camera, look_around, walk};
 use scenesplat_kernels::random::SampleRng;
 
 /// Fewest and most rooms of a flat; the corridor is none of them.
@@ -98,6 +98,12 @@ impl Flat {
             cameras.extend(walk(layout, rng).iter().map(|camera| camera.moved(base)));
         }
         cameras
+    }
+
+    /// Somebody looks at some things of one room with a depth camera.
+    pub(crate) fn look_around(&self, rng: &mut SampleRng) -> Vec<Camera> {
+        let (layout, base) = &self.parts[whole(rng, 0, self.parts.len() as u32 - 1) as usize];
+        look_around(layout, rng).iter().map(|camera| camera.moved(base)).collect()
     }
 
     /// Its extent, and all objects where they are in it.

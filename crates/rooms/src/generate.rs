@@ -2,6 +2,7 @@
 
 use crate::catalogue::{Catalogue, FurnitureSplit};
 use crate::classes::ClassId;
+use crate::depth;
 use crate::error::RoomError;
 use crate::flat::Flat;
 use crate::jitter::jitter;
@@ -42,6 +43,8 @@ const WALK: u64 = u64::MAX - 2;
 const FLAT: u64 = u64::MAX - 3;
 /// Whether its objects have densities of their own, and which.
 const DENSITY: u64 = u64::MAX - 4;
+/// Whether it is a place other than a home, and which.
+const PUBLIC: u64 = u64::MAX - 5;
 
 /// How the Gaussians of a room came about.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize)]
@@ -57,6 +60,10 @@ pub enum Capture {
     /// As points of the models of a simulator: the density of each object, and of the room, its own, so that
     /// nothing of it tells the class; hardly any light; most things of one color.
     Model,
+    /// As a depth camera that is held in the hand leaves it: points of what it looked at from a few places, as far as
+    /// it reaches, each with errors of range, place and color; one density for all. Such a room has fewer Gaussians
+    /// than asked for.
+    Depth,
 }
 
 /// Which room.
@@ -82,6 +89,10 @@ pub struct SyntheticRoomSettings {
     /// walls between them, doors or openings. Their number of Gaussians grows with their number of rooms.
     #[serde(skip_serializing_if = "is_none_of_them")]
     pub flat_share: f64,
+    /// Share of the scenes that are places other than homes ([`RoomKind::PUBLIC`]), 0..=1; such a scene is no flat.
+    /// No effect where [`kind`](Self::kind) says which.
+    #[serde(skip_serializing_if = "is_none_of_them")]
+    pub public_share: f64,
     /// How the Gaussians came about.
     pub capture: Capture,
     /// Share of the rooms as made whose objects each have a density of their own, whatever they are, 0..=1: what
@@ -135,6 +146,7 @@ impl Default for SyntheticRoomSettings {
             kind: None,
             points_share: 0.3,
             flat_share: 0.0,
+            public_share: 0.0,
             capture: Capture::Made,
             density_variation: 0.0,
             seen_share: 0.0,
@@ -204,13 +216,18 @@ pub fn generate(settings: &SyntheticRoomSettings) -> Result<SyntheticRoom, RoomE
     let (seed, room) = (settings.seed, settings.room);
     let (kind, flat) = furnished(settings)?;
     let mut of_walk = sample_rng(seed, room, WALK);
-    let is_walked = unit(&mut of_walk) < settings.seen_share;
-    let cameras = if is_walked { flat.walk(&mut of_walk) } else { Vec::new() };
+    let is_depth = settings.capture == Capture::Depth;
+    let is_walked = is_depth || unit(&mut of_walk) < settings.seen_share;
+    let cameras = match (is_depth, is_walked) {
+        (true, _) => flat.look_around(&mut of_walk),
+        (false, true) => flat.walk(&mut of_walk),
+        (false, false) => Vec::new(),
+    };
     let num_rooms = flat.num_rooms;
     let (size, objects) = flat.into_objects();
     let mut rng = sample_rng(seed, room, LOOK);
     let is_points =
-        unit(&mut rng) < f64::from(settings.points_share) || settings.capture == Capture::Model;
+        unit(&mut rng) < f64::from(settings.points_share) || settings.capture.is_points();
     let mut look = Look::new(is_points, size, &mut rng);
     let mut density = f64::from(settings.gaussians_per_m2);
     let mut of_scan = sample_rng(seed, room, SCAN);
@@ -247,7 +264,11 @@ pub fn generate(settings: &SyntheticRoomSettings) -> Result<SyntheticRoom, RoomE
     }
     let scene = splats::scene(&rows);
     Ok(SyntheticRoom {
-        scene: if is_walked { walked(scene, &cameras, &mut of_walk) } else { scene },
+        scene: match (is_depth && !cameras.is_empty(), is_walked) {
+            (true, _) => depth::fused(&scene, &cameras, &mut of_walk),
+            (false, true) => walked(scene, &cameras, &mut of_walk),
+            (false, false) => scene,
+        },
         is_walked,
         size: size.map(|v| v as f32),
         kind,
@@ -262,6 +283,7 @@ fn scan_of(capture: Capture, size: V3, objects: usize, rng: &mut SampleRng) -> O
         Capture::Made => None,
         Capture::Scan => Some(Scan::new(size, objects, rng)),
         Capture::Model => Some(Scan::of_models(objects, rng)),
+        Capture::Depth => Some(Scan::of_depth(objects, rng)),
     }
 }
 
@@ -278,11 +300,14 @@ fn walked(mut scene: GaussianScene, cameras: &[Camera], rng: &mut SampleRng) -> 
 fn furnished(settings: &SyntheticRoomSettings) -> Result<(RoomKind, Flat), RoomError> {
     let (seed, room) = (settings.seed, settings.room);
     let mut rng = sample_rng(seed, room, LAYOUT);
-    let kind = RoomKind::random(&mut rng);
-    let kind = settings.kind.unwrap_or(kind);
+    let home = RoomKind::random(&mut rng);
+    let mut of_public = sample_rng(seed, room, PUBLIC);
+    let public = (unit(&mut of_public) < settings.public_share)
+        .then(|| RoomKind::random_public(&mut of_public));
+    let kind = settings.kind.or(public).unwrap_or(home);
     let stock = &mut settings.stock()?;
     let mut of_flat = sample_rng(seed, room, FLAT);
-    let is_flat = unit(&mut of_flat) < settings.flat_share;
+    let is_flat = unit(&mut of_flat) < settings.flat_share && !kind.is_public();
     let flat = match is_flat {
         true => Flat::furnish(kind, stock, &mut of_flat),
         false => Flat::of_one_room(recipe::furnish(kind, stock, &mut rng)),
@@ -352,6 +377,13 @@ fn scatter_all(
     parts.concat()
 }
 
+impl Capture {
+    /// Whether all its rooms are points.
+    fn is_points(self) -> bool {
+        matches!(self, Self::Model | Self::Depth)
+    }
+}
+
 impl SyntheticRoomSettings {
     /// The room of a seed with an exact number of Gaussians, however sparse that makes it.
     #[must_use]
@@ -388,6 +420,7 @@ impl SyntheticRoomSettings {
         let (own, varied) = (self.density_variation, self.furniture_variation);
         for (setting, share) in [
             ("flat_share", self.flat_share),
+            ("public_share", self.public_share),
             ("seen_share", self.seen_share),
             ("furniture_share", self.furniture_share),
             ("density_variation", own),

@@ -31,8 +31,8 @@
 //!
 //! In those rooms density and size of the Gaussians tell the class, and networks read it. Rooms of
 //! [`Capture::Scan`] have no such leak, and vary as scans do; nor have those of [`Capture::Model`], which are points
-//! as worlds of simulators give them. A [share](SyntheticRoomSettings::flat_share) of the scenes may be flats: rooms on
-//! both sides of a corridor.
+//! as worlds of simulators give them, and those of [`Capture::Depth`], which are what a depth camera leaves. A [share](SyntheticRoomSettings::flat_share) of the scenes may be flats: rooms on
+//! both sides of a corridor, and another [share](SyntheticRoomSettings::public_share) places other than homes.
 //!
 //! # Furniture
 //! Objects are built from parameters; with a [`Catalogue`] most are models of real furniture in their real sizes
@@ -40,6 +40,7 @@
 
 pub mod catalogue;
 pub mod classes;
+mod depth;
 mod dice;
 mod error;
 mod flat;

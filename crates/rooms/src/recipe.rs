@@ -6,8 +6,11 @@ mod extras;
 mod kitchen;
 mod living;
 mod office;
+mod pantry;
+mod public;
 mod things;
 
+pub(crate) use self::public::ground as public_ground;
 use crate::dice::{between, chance, weighted, whole};
 use crate::furniture;
 use crate::model::{Build, Model};
@@ -33,18 +36,78 @@ pub enum RoomKind {
     Bathroom,
     /// A flat of one room: two of the others together, sometimes with a bathtub or a sink.
     Mixed,
+    /// The kitchen of a workplace: cabinets over a corner, a large table, papers and boxes.
+    Pantry,
+    /// Many desks in blocks.
+    OpenOffice,
+    /// A long table with chairs and a screen.
+    Meeting,
+    /// Shelves in rows, tables of goods, a counter.
+    Shop,
+    /// Beds with curtains between them.
+    Ward,
+    /// Desks in rows.
+    Classroom,
+    /// Benches, shelves, boxes.
+    Workshop,
+    /// Seats along the walls, a desk to be received at.
+    Lobby,
 }
 
 impl RoomKind {
     /// All kinds.
-    pub const ALL: [Self; 6] =
+    pub const ALL: [Self; 14] = [
+        Self::Living,
+        Self::Bedroom,
+        Self::Office,
+        Self::Kitchen,
+        Self::Bathroom,
+        Self::Mixed,
+        Self::Pantry,
+        Self::OpenOffice,
+        Self::Meeting,
+        Self::Shop,
+        Self::Ward,
+        Self::Classroom,
+        Self::Workshop,
+        Self::Lobby,
+    ];
+
+    /// Rooms of homes.
+    pub const HOMES: [Self; 6] =
         [Self::Living, Self::Bedroom, Self::Office, Self::Kitchen, Self::Bathroom, Self::Mixed];
 
-    /// Chosen so that each class is in a tenth of the rooms or more.
+    /// Places other than homes.
+    pub const PUBLIC: [Self; 8] = [
+        Self::Pantry,
+        Self::OpenOffice,
+        Self::Meeting,
+        Self::Shop,
+        Self::Ward,
+        Self::Classroom,
+        Self::Workshop,
+        Self::Lobby,
+    ];
+
+    /// Chosen so that each class is in a tenth of the rooms of homes or more.
     const WEIGHTS: [f64; 6] = [0.17, 0.17, 0.15, 0.16, 0.17, 0.18];
 
+    /// Of [`PUBLIC`](Self::PUBLIC).
+    const PUBLIC_WEIGHTS: [f64; 8] = [0.25, 0.14, 0.14, 0.12, 0.1, 0.08, 0.08, 0.09];
+
+    /// A room of a home.
     pub(crate) fn random(rng: &mut SampleRng) -> Self {
-        Self::ALL[weighted(rng, &Self::WEIGHTS)]
+        Self::HOMES[weighted(rng, &Self::WEIGHTS)]
+    }
+
+    /// A place that is no home.
+    pub(crate) fn random_public(rng: &mut SampleRng) -> Self {
+        Self::PUBLIC[weighted(rng, &Self::PUBLIC_WEIGHTS)]
+    }
+
+    /// Whether it is a place other than a home.
+    pub fn is_public(self) -> bool {
+        Self::PUBLIC.contains(&self)
     }
 
     /// Smallest and largest side of the plan, meters.
@@ -56,6 +119,10 @@ impl RoomKind {
             Self::Kitchen => [2.7, 5.0],
             Self::Bathroom => [2.1, 3.5],
             Self::Mixed => [4.2, 6.8],
+            Self::Pantry => [3.2, 6.0],
+            Self::Meeting => [3.4, 6.5],
+            Self::OpenOffice | Self::Shop | Self::Classroom => [4.8, 7.6],
+            Self::Ward | Self::Workshop | Self::Lobby => [4.2, 7.0],
         }
     }
 }
@@ -83,8 +150,16 @@ pub(crate) fn furnish_corridor(
     rng: &mut SampleRng,
 ) -> Layout {
     let InFlat { height, has_ceiling, back, inner } = *flat;
-    let plan =
-        Plan { size, height, notch: None, is_wet: false, has_ceiling, inner: Some(inner), back };
+    let plan = Plan {
+        size,
+        height,
+        notch: None,
+        is_wet: false,
+        is_public: false,
+        has_ceiling,
+        inner: Some(inner),
+        back,
+    };
     let mut layout = crate::shell::corridor(&plan, doors, stock, rng);
     let mut room = Room { layout: &mut layout, stock, rng };
     room.some_at_wall(&[(furniture::storage::cabinet, 0.3), (furniture::storage::wardrobe, 0.3)]);
@@ -108,6 +183,7 @@ pub(crate) fn furnish_in(
         height: between(rng, 2.25, 3.2),
         notch,
         is_wet: kind == RoomKind::Bathroom,
+        is_public: kind.is_public(),
         has_ceiling: chance(rng, 0.7),
         inner: None,
         back: USUAL_BACK,
@@ -124,6 +200,14 @@ pub(crate) fn furnish_in(
         RoomKind::Kitchen => room.kitchen(),
         RoomKind::Bathroom => room.bathroom(),
         RoomKind::Mixed => room.mixed(),
+        RoomKind::Pantry => room.pantry(),
+        RoomKind::OpenOffice => room.open_office(),
+        RoomKind::Meeting => room.meeting(),
+        RoomKind::Shop => room.shop(),
+        RoomKind::Ward => room.ward(),
+        RoomKind::Classroom => room.classroom(),
+        RoomKind::Workshop => room.workshop(),
+        RoomKind::Lobby => room.lobby(),
     }
     room.extras(kind);
     room.clutter();

@@ -76,6 +76,18 @@ impl Scan {
         }
     }
 
+    /// As points of a depth camera differ before it looks: one density for all objects, any light.
+    pub(crate) fn of_depth(num_objects: usize, rng: &mut SampleRng) -> Self {
+        let light = [between(rng, 0.55, 1.0), between(rng, 0.9, 1.05)];
+        let one = || ScannedObject { density: 1.0, ln_size: 0.0, is_plain: false };
+        Self {
+            density: factor(rng, 1.0, 2.5),
+            objects: (0..num_objects).map(|_| one()).collect(),
+            light: Some(light),
+            ..Self::of_models(0, rng)
+        }
+    }
+
     /// As points of the models of a simulator differ: a density of each object, whatever it is, hardly any
     /// light, and most things of one color.
     pub(crate) fn of_models(num_objects: usize, rng: &mut SampleRng) -> Self {

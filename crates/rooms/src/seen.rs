@@ -47,7 +47,7 @@ struct InView {
 }
 
 /// What a Gaussian adds to the pixels that it covers, on average over them; in one picture.
-fn shares(scene: &GaussianScene, camera: &Camera) -> Vec<(u32, f32)> {
+pub(crate) fn shares(scene: &GaussianScene, camera: &Camera) -> Vec<(u32, f32)> {
     let mut all = Vec::new();
     let mut starts = vec![0_u32; STEPS + 1];
     for row in 0..scene.len() {

@@ -20,6 +20,8 @@ pub(crate) struct Plan {
     /// Extent of the corner that is missing.
     pub(crate) notch: Option<[f64; 2]>,
     pub(crate) is_wet: bool,
+    /// Whether its floor is one of places other than homes.
+    pub(crate) is_public: bool,
     pub(crate) has_ceiling: bool,
     /// Which sides have another room behind them, in a flat; none in a room by itself.
     pub(crate) inner: Option<[bool; 4]>,
@@ -344,7 +346,10 @@ fn level_faces(layout: &mut Layout, plan: &Plan, rng: &mut SampleRng) {
         None => vec![([0.0, 0.0], [l, w])],
         Some([x, y]) => vec![([0.0, 0.0], [l, w - y]), ([0.0, w - y], [l - x, w])],
     };
-    let (name, ground) = ground(plan.is_wet, rng);
+    let (name, ground) = match plan.is_public && chance(rng, 0.7) {
+        true => crate::recipe::public_ground(rng),
+        false => ground(plan.is_wet, rng),
+    };
     let mut floor = Model::new(ClassId::Floor, name, 0.9);
     let white = ColorName::White.sample(rng);
     let white = Material::new(white, Texture::Mottled(0.6), rng);

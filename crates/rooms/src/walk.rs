@@ -61,6 +61,27 @@ pub(crate) fn walk(layout: &Layout, rng: &mut SampleRng) -> Vec<Camera> {
     cameras
 }
 
+/// One to four stops on the free floor, from each of which a camera in the hand pans over one or two things and what is
+/// around them, mostly downwards. Nothing where nobody can stand.
+pub(crate) fn look_around(layout: &Layout, rng: &mut SampleRng) -> Vec<Camera> {
+    let mut cameras = Vec::new();
+    let height = between(rng, 1.0, 1.7).min(layout.height - 0.3);
+    for _ in 0..whole(rng, 1, 4) {
+        let Some([x, y]) = free_place(layout, rng) else { continue };
+        for _ in 0..whole(rng, 1, 2) {
+            let middle = layout.size.map(|side| side * between(rng, 0.2, 0.8));
+            let aim = object(layout, rng).unwrap_or([middle[0], middle[1], 0.7]);
+            for _ in 0..whole(rng, 3, 8) {
+                let eye = std::array::from_fn(|i| [x, y, height][i] + between(rng, -0.2, 0.2));
+                let spread = |rng: &mut SampleRng| between(rng, -0.9, 0.9);
+                let to = [aim[0] + spread(rng), aim[1] + spread(rng), aim[2] + 0.6 * spread(rng)];
+                cameras.push(Camera::looking(eye, to));
+            }
+        }
+    }
+    cameras
+}
+
 fn free_place(layout: &Layout, rng: &mut SampleRng) -> Option<[f64; 2]> {
     for _ in 0..TRIES {
         let [x, y] = layout.size.map(|side| between(rng, 0.2, (side - 0.2).max(0.21)));

@@ -63,6 +63,6 @@ pub use printable::{printable, printable_text};
 pub use similarity::Similarity;
 pub use staged_folder::StagedFolder;
 pub use text_table::TextTable;
-pub use up::{StatedUp, Up, UpEvidence, UpGuess, Walls, guess_up, squareness};
+pub use up::{StatedUp, Up, UpEvidence, UpGuess, Walls, guess_up, squareness, up_of_cameras};
 pub use value_policy::{Policy, RepairReport};
 pub use whole_folder::WholeFolder;

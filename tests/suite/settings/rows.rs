@@ -243,6 +243,7 @@ pub const TABLES: &[Table] = &[
         ("seen_share", "1.0", Weights),
         ("density_variation", "1.0", Weights),
         ("flat_share", "1.0", Weights),
+        ("public_share", "1.0", Weights),
         ("furniture", "DATA/furniture", Weights),
     ]),
     table("language", "/train/0/source/room")
@@ -598,6 +599,7 @@ pub const TABLES: &[Table] = &[
         ("seen_share", "1.0", Measured),
         ("density_variation", "1.0", Measured),
         ("flat_share", "1.0", Measured),
+        ("public_share", "1.0", Measured),
         ("furniture", "DATA/furniture", Measured),
     ]),
     table("language", "/evaluate/0/source/room")

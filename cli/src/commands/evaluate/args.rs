@@ -27,7 +27,8 @@ use std::path::{Path, PathBuf};
 pub struct Args {
     /// Scenes with labels: .ply files, folders of .npy files, or synthetic:COUNT:SEED for rooms that
     /// are made on the spot, scanned:COUNT:SEED for rooms in which density and size tell no class,
-    /// furnished:COUNT:SEED[@PART] for rooms with the furniture of the catalogue SCENESPLAT_FURNITURE, of
+    /// public:COUNT:SEED for offices, shops, wards and the like, depth:COUNT:SEED for what a depth camera leaves of
+    /// both, furnished:COUNT:SEED[@PART] for rooms with the furniture of the catalogue SCENESPLAT_FURNITURE, of
     /// which PART is all, train, held_out, without:LIBRARY or only:LIBRARY.
     #[arg(required_unless_present = "manifest", value_name = "SCENE|synthetic:COUNT:SEED")]
     pub scenes: Vec<String>,

@@ -35,14 +35,23 @@ pub fn inputs(scenes: &[String]) -> Result<Vec<Input>> {
         };
         let Some((count, seed, room)) = numbers(&numbers_of) else {
             refuse!(
-                "{scene:?}: write synthetic:COUNT:SEED, such as synthetic:20:7, scanned:COUNT:SEED, or \
-                 furnished:COUNT:SEED; a third number is where the count begins, 0 if left out; after \
+                "{scene:?}: write synthetic:COUNT:SEED, such as synthetic:20:7, or scanned:, public:, depth: or \
+                 furnished: instead of synthetic:; a third number is where the count begins, 0 if left out; after \
                  furnished:COUNT:SEED may come @held_out, @train, @without:LIBRARY or @only:LIBRARY"
             );
         };
-        let capture = if kind == "scanned:" { Capture::Scan } else { Capture::Made };
-        let mut settings =
-            SyntheticRoomSettings { capture, room, ..SyntheticRoomSettings::default() };
+        let capture = match kind {
+            "scanned:" => Capture::Scan,
+            "depth:" => Capture::Depth,
+            _ => Capture::Made,
+        };
+        let public_share = match kind {
+            "public:" => 1.0,
+            "depth:" => 0.5,
+            _ => 0.0,
+        };
+        let usual = SyntheticRoomSettings::default();
+        let mut settings = SyntheticRoomSettings { capture, room, public_share, ..usual };
         if let Some(split) = split {
             settings.furniture = Some(catalogue()?);
             // What is asked for is the catalogue.
@@ -56,7 +65,7 @@ pub fn inputs(scenes: &[String]) -> Result<Vec<Input>> {
 }
 
 /// The beginnings of what means rooms that are made on the spot.
-pub const KINDS: [&str; 3] = ["synthetic:", "scanned:", "furnished:"];
+pub const KINDS: [&str; 5] = ["synthetic:", "scanned:", "furnished:", "public:", "depth:"];
 
 /// Names the catalogue of furniture for `furnished:`.
 const FURNITURE: &str = "SCENESPLAT_FURNITURE";

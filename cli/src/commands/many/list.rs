@@ -91,7 +91,9 @@ fn read(path: &Path, words: &Words) -> Result<Vec<(String, Flags)>> {
     let text = read_text_file(path).context("--manifest")?;
     let folder = path.parent().unwrap_or(Path::new(""));
     let at = |scene: &str| match scene.split_once(':') {
-        Some(("synthetic" | "scanned" | "furnished", _)) => Ok(scene.to_owned()),
+        Some(("synthetic" | "scanned" | "furnished" | "public" | "depth", _)) => {
+            Ok(scene.to_owned())
+        }
         _ => text_of(&folder.join(scene)),
     };
     if !text.trim_start().starts_with('[') {

@@ -41,6 +41,9 @@ pub struct Args {
     /// random points where the cameras look]
     #[arg(long, value_name = "PATH")]
     pub points: Option<PathBuf>,
+    /// What the first Gaussians are: `depth` lays flat ones on the surfaces that the depths show.
+    #[arg(long, value_enum, default_value_t = InitArg::Points)]
+    pub init: InitArg,
     /// Most Gaussians to begin with, where they come from depths or are random.
     #[arg(long, value_name = "N", default_value_t = 100_000,
           value_parser = clap::value_parser!(u32).range(1..))]
@@ -113,6 +116,15 @@ pub struct Args {
     /// Flags of all commands.
     #[command(flatten)]
     pub shared: Shared,
+}
+
+/// What the first Gaussians are.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+pub enum InitArg {
+    /// Balls at points: those of --points, else of the cameras' file, else on the depths, else random ones.
+    Points,
+    /// Discs with the normals of the depths, means over all frames.
+    Depth,
 }
 
 /// Whose settings.

@@ -1,15 +1,20 @@
 //! Frames of `optimise`, and the Gaussians that it begins with.
 
 use super::Args;
+use super::args::InitArg;
+use crate::error::refuse;
 use crate::session::Session;
 use anyhow::{Context, Result};
 use scenesplat::optimisation::frame::scale_of_cameras;
 use scenesplat::optimisation::initial::{Cloud, InitialSettings, from_points};
+use scenesplat::optimisation::surfels::{Surfel, from_surfels, fused_surfels};
 use scenesplat::optimisation::{
     CaptureFolder, Model, OptimiseSettings, TrainingFrame, fused_points, points_in_view, thin,
 };
 use scenesplat::scene::gaussian_scene::SH_C0;
-use scenesplat::scene::{GaussianScene, ReadOptions, Similarity, SparsePoints, open_cameras};
+use scenesplat::scene::{
+    GaussianScene, ReadOptions, Similarity, SparsePoints, Up, open_cameras, up_of_cameras,
+};
 
 /// What is learned from, what is tested on, and points that came with the cameras.
 pub(super) struct Frames {
@@ -23,6 +28,15 @@ pub(super) struct Frames {
 }
 
 impl Frames {
+    /// The way up, by how the cameras were held.
+    pub(super) fn up(&self) -> Option<Up> {
+        let axes = |frame: &TrainingFrame| {
+            let [right, down, _] = frame.view.world_to_camera;
+            [right, down].map(|row| [row[0], row[1], row[2]].map(f64::from))
+        };
+        up_of_cameras(self.train.iter().chain(&self.test).map(axes))
+    }
+
     /// Where neither depths nor points say how large things are, the scale of the cameras becomes the unit: presets are
     /// made for scenes of about that size.
     fn with_unit(mut self, has_cloud: bool) -> Self {
@@ -121,13 +135,49 @@ impl Args {
         settings: &OptimiseSettings,
     ) -> Result<Model> {
         let _stage = session.receipt.stage("first Gaussians");
+        let (model, from) = match self.surfels(frames)? {
+            Some(surfels) => (
+                from_surfels(&surfels, settings.initial.sh_degree)?,
+                "the measured depths: flat Gaussians".to_owned(),
+            ),
+            None => self.from_first_points(session, frames, settings)?,
+        };
+        session.progress.say(format!("{} Gaussians to begin with, from {from}", model.len()));
+        session.receipt.setting("initial", model.len(), &from);
+        Ok(model)
+    }
+
+    /// Pieces of surface, if --init depth asks for them.
+    fn surfels(&self, frames: &Frames) -> Result<Option<Vec<Surfel>>> {
+        if self.init != InitArg::Depth {
+            return Ok(None);
+        }
+        if self.points.is_some() {
+            refuse!(
+                "--init depth makes the first Gaussians of the depths; leave out --points, or --init"
+            );
+        }
+        let surfels = fused_surfels(&frames.train, self.initial as usize);
+        if surfels.is_empty() {
+            refuse!(
+                "--init depth: no frame has depths to make Gaussians of; give them with --depth"
+            );
+        }
+        Ok(Some(surfels))
+    }
+
+    /// Gaussians at points, and where those come from.
+    fn from_first_points(
+        &self,
+        session: &Session<'_>,
+        frames: &Frames,
+        settings: &OptimiseSettings,
+    ) -> Result<(Model, String)> {
         let ((points, colors), from, initial) = self.first_points(session, frames, settings)?;
         let (points, colors) = without_bad(points, colors);
         let model = from_points(&points, &colors, &initial, self.seed)
             .with_context(|| format!("first Gaussians from {from}"))?;
-        session.progress.say(format!("{} Gaussians to begin with, from {from}", model.len()));
-        session.receipt.setting("initial", model.len(), &from);
-        Ok(model)
+        Ok((model, from))
     }
 
     /// Points, where they come from, and how their Gaussians begin.

@@ -18,7 +18,7 @@ use frames::Frames;
 use previews::Previews;
 use run::checkpoints;
 use scenesplat::optimisation::{OptimiseSettings, Optimiser, newest_checkpoint};
-use scenesplat::scene::formats::inria_ply::write_inria_ply;
+use scenesplat::scene::{SceneFormat, WriteOptions, write_scene};
 use std::path::Path;
 use std::time::Instant;
 
@@ -87,7 +87,14 @@ pub fn run(args: &Args, line: &str) -> Result<()> {
     }
     let mut kept = frames.placed(args.finish(&session, &optimiser, &frames, &ran)?);
     kept.antialiased = optimiser.settings().antialiased;
-    session.write("scene.ply", |path| write_inria_ply(&kept, &[], path))?;
+    let stated_up = frames.up();
+    if let Some(up) = stated_up {
+        session.receipt.setting("up", up, "by how the cameras were held; scene.ply says so");
+    }
+    let options = WriteOptions { overwrite: true, stated_up, ..WriteOptions::default() };
+    session.write("scene.ply", |path| {
+        write_scene(&kept, path, SceneFormat::Ply, &options, &mut |_| true).map(drop)
+    })?;
     session.receipt.add_rows_out(kept.len());
     if kept.antialiased {
         session.progress.say("the scene was made with antialiasing, and scene.ply says so");

@@ -32,6 +32,25 @@ impl Style {
     }
 }
 
+impl Style {
+    /// Mostly in a strong color, with a dark worktop as often as not.
+    pub(crate) fn bold(rng: &mut SampleRng) -> Self {
+        let usual = Self::new(rng);
+        let (color, front) = match chance(rng, 0.6) {
+            true => {
+                let name = pick(rng, &ColorName::ALL);
+                (name, Material::plain(name.sample(rng)))
+            }
+            false => (usual.color, usual.front),
+        };
+        let top = match chance(rng, 0.5) {
+            true => Material::plain(pick(rng, &[Black, Black, Grey]).sample(rng)),
+            false => usual.top,
+        };
+        Self { color, front, top, ..usual }
+    }
+}
+
 /// A base unit of the given width with its worktop; with a basin if a sink goes in.
 pub(crate) fn base_unit(style: &Style, wide: f64, has_sink: bool, rng: &mut SampleRng) -> Model {
     let (x, y) = (wide / 2.0, style.deep / 2.0);

@@ -1,7 +1,7 @@
 //! Small things that lie about.
 
 use crate::classes::ClassId;
-use crate::dice::{between, chance, pick, whole};
+use crate::dice::{between, chance, pick, small_turn, whole};
 use crate::material::{ColorName, Material, Texture, metal, painted, wood};
 use crate::model::{Model, SIDES};
 use crate::shape::Shape;
@@ -33,6 +33,91 @@ pub(crate) fn book(rng: &mut SampleRng) -> Model {
         }
         z += thick;
     }
+    model
+}
+
+/// Printed paper: a light or a dark ground with blots of other colors.
+fn print(rng: &mut SampleRng) -> (ColorName, Material) {
+    let name = pick(rng, &ColorName::ALL);
+    let other = pick(rng, &[ColorName::White, ColorName::White, ColorName::Black]);
+    let (base, second) = (name.sample(rng), other.sample(rng));
+    let texture = match whole(rng, 0, 2) {
+        0 => Texture::Plain,
+        1 => Texture::Painting(between(rng, 0.03, 0.12)),
+        _ => Texture::Stripes(between(rng, 0.01, 0.04)),
+    };
+    let is_white = chance(rng, 0.4);
+    let (name, [base, second]) = if is_white {
+        (ColorName::White, [ColorName::White.sample(rng), base])
+    } else {
+        (name, [base, second])
+    };
+    (name, Material::new(base, texture, rng).with_second(second))
+}
+
+/// Magazines or papers, some over each other.
+pub(crate) fn magazines(rng: &mut SampleRng) -> Model {
+    let (name, cover) = print(rng);
+    let mut model = Model::new(ClassId::Book, name, 4.0);
+    let mut z = 0.0;
+    for i in 0..whole(rng, 1, 4) {
+        let paper = if i == 0 { cover } else { print(rng).1 };
+        let (x, y) = (between(rng, 0.08, 0.115), between(rng, 0.11, 0.155));
+        let (dx, dy) = (between(rng, -0.06, 0.06), between(rng, -0.05, 0.05));
+        let thick = between(rng, 0.002, 0.01);
+        let [c, s] = small_turn(rng, 0.5);
+        let at = |a: f64, b: f64, z: f64| [dx + c * a - s * b, dy + s * a + c * b, z];
+        let top = z + thick;
+        model.patch([at(-x, -y, top), at(x, -y, top), at(-x, y, top), at(x, y, top)], None, paper);
+        for [[ax, ay], [bx, by]] in
+            [[[-x, -y], [x, -y]], [[x, -y], [x, y]], [[x, y], [-x, y]], [[-x, y], [-x, -y]]]
+        {
+            model.patch(
+                [at(ax, ay, z), at(bx, by, z), at(ax, ay, top), at(bx, by, top)],
+                None,
+                paper.shaded(0.9),
+            );
+        }
+        z = top;
+    }
+    model
+}
+
+/// A book or a leaflet that stands, leaning back.
+pub(crate) fn standing_book(rng: &mut SampleRng) -> Model {
+    let (name, cover) = print(rng);
+    let mut model = Model::new(ClassId::Book, name, 4.0);
+    let (x, high) = (between(rng, 0.06, 0.13), between(rng, 0.16, 0.32));
+    let (lean, thick) = (between(rng, 0.0, 0.1), between(rng, 0.003, 0.03));
+    let at = |x: f64, z: f64| [x, 0.04 - lean * z / high, z];
+    let (low, across, up) = (at(-x, 0.0), [2.0 * x, 0.0, 0.0], [0.0, -lean, high]);
+    // Up × across looks forwards.
+    model.plate(low, up, across, thick, cover);
+    if thick > 0.01 {
+        for side in SIDES {
+            let (a, b) = (at(side * x, 0.0), at(side * x, high));
+            let back = |p: [f64; 3]| [p[0], p[1] - thick, p[2]];
+            model.patch([a, back(a), b, back(b)], None, Material::plain([226.0, 218.0, 198.0]));
+        }
+    }
+    model
+}
+
+/// A box of plastic with a lid, clear, white or colored.
+pub(crate) fn lidded_box(rng: &mut SampleRng) -> Model {
+    let (color, body) = match chance(rng, 0.5) {
+        true => (
+            ColorName::White,
+            Material::new(ColorName::White.sample(rng), Texture::Sheen(0.1), rng),
+        ),
+        false => painted(rng),
+    };
+    let mut model = Model::new(ClassId::Box, color, 3.0);
+    let (x, y, high) =
+        (between(rng, 0.06, 0.18), between(rng, 0.05, 0.13), between(rng, 0.05, 0.14));
+    model.soft_block([-x, -y, 0.0], [x, y, high], 0.004, body);
+    let lid = if chance(rng, 0.5) { body.shaded(0.93) } else { painted(rng).1 };
+    model.block([-x - 0.008, -y - 0.008, high], [x + 0.008, y + 0.008, high + 0.012], lid);
     model
 }
 

@@ -48,6 +48,19 @@ pub(super) fn door_fronts(
     }
 }
 
+/// A board on a wall to put things on; its underside is at z = 0. It is of no class.
+pub(crate) fn wall_board(rng: &mut SampleRng) -> Model {
+    let (color, body) = if chance(rng, 0.5) { wood(rng) } else { painted(rng) };
+    let (x, y) = (between(rng, 0.3, 1.0), between(rng, 0.08, 0.15));
+    let thick = between(rng, 0.015, 0.04);
+    let mut model = Model::new(ClassId::Bookshelf, color, 1.7);
+    model.class = None;
+    model.block([-x, -y, 0.0], [x, y, thick], body);
+    model.support([-x, -y], [x, y], thick, 0.4);
+    model.solid([-x, -y, 0.0], [x, y, thick]);
+    model
+}
+
 /// A sideboard or chest of drawers.
 pub(crate) fn cabinet(rng: &mut SampleRng) -> Model {
     let (color, body) = if chance(rng, 0.75) { wood(rng) } else { painted(rng) };

@@ -9,7 +9,13 @@ use crate::stock::Place;
 impl Room<'_> {
     /// A desk with a computer and a chair.
     pub(super) fn workplace(&mut self) {
-        let Some(desk) = self.at_wall(tables::desk) else { return };
+        if let Some(desk) = self.at_wall(tables::desk) {
+            self.workplace_on(desk);
+        }
+    }
+
+    /// What is on a desk, a chair before it, a bin beside it.
+    pub(super) fn workplace_on(&mut self, desk: usize) {
         let [x, y, _] = self.layout.objects[desk].model.bounds().high;
         let screens = if self.likely(0.35) && x > 0.65 { 2 } else { 1 };
         if self.likely(0.85) {

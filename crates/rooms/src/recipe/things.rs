@@ -15,7 +15,13 @@ fn categories(kind: RoomKind) -> &'static [&'static str] {
         RoomKind::Office => &["Office", "Living room", "Miscellaneous", "Lights"],
         RoomKind::Kitchen => &["Kitchen", "Miscellaneous"],
         RoomKind::Bathroom => &["Bathroom"],
-        RoomKind::Mixed => &[],
+        RoomKind::Pantry => &["Kitchen", "Office", "Miscellaneous", "Lights"],
+        RoomKind::OpenOffice | RoomKind::Meeting | RoomKind::Classroom => {
+            &["Office", "Miscellaneous", "Lights"]
+        }
+        RoomKind::Lobby => &["Living room", "Office", "Miscellaneous", "Lights"],
+        RoomKind::Ward => &["Bedroom", "Bathroom", "Office", "Miscellaneous"],
+        RoomKind::Mixed | RoomKind::Shop | RoomKind::Workshop => &[],
     }
 }
 

@@ -65,6 +65,9 @@ fn rooms_have_the_same_bits_on_any_machine_and_thread() {
         assert_eq!(found, expected, "{settings:?}: {found:#x}");
     }
     on_any_thread(&SyntheticRoomSettings { seen_share: 1.0, ..scan(2) });
+    let depth =
+        SyntheticRoomSettings { capture: Capture::Depth, public_share: 1.0, ..settings(0, 9000) };
+    assert_eq!(bits(&on_any_thread(&depth)), 0, "{:#x}", bits(&on_any_thread(&depth)));
     let seeded = |seed| generate(&SyntheticRoomSettings { seed, ..settings(0, 500) }).unwrap();
     assert_ne!(bits(&seeded(0)), bits(&seeded(1)));
     assert_eq!(generate(&scan(0)).unwrap().objects, make(0, 3000).objects, "a scan is of the room");
@@ -93,6 +96,7 @@ fn settings_out_of_range_are_named() {
         (SyntheticRoomSettings { points_share: 1.5, ..usual() }, "points_share"),
         (SyntheticRoomSettings { seen_share: 1.1, ..usual() }, "seen_share"),
         (SyntheticRoomSettings { flat_share: f64::NAN, ..usual() }, "flat_share"),
+        (SyntheticRoomSettings { public_share: -0.1, ..usual() }, "public_share"),
         (SyntheticRoomSettings { density_variation: 1.1, ..usual() }, "density_variation"),
         (SyntheticRoomSettings { density_variation: f64::NAN, ..usual() }, "density_variation"),
         (SyntheticRoomSettings { density_variation: 0.5, ..scan }, "density_variation"),
@@ -117,7 +121,14 @@ fn half_a_share_is_about_half_of_the_rooms() {
         flats += usize::from(made.num_rooms > 1);
         varied += usize::from(before.scene != after.scene);
     }
-    for count in [walked, flats, varied] {
+    let public = SyntheticRoomSettings { public_share: 0.5, ..Default::default() };
+    let public = (0..40).filter(|&room| {
+        let few = SyntheticRoomSettings { room, num_gaussians: Some(100), ..public.clone() };
+        let (made, home) = (generate(&few).unwrap(), make(room, 100));
+        assert!(made.kind.is_public() || made.objects == home.objects);
+        made.kind.is_public()
+    });
+    for count in [walked, flats, varied, public.count()] {
         assert!((10..=30).contains(&count), "{walked} {flats} {varied}");
     }
 }
@@ -363,6 +374,69 @@ fn of_a_walk_there_is_what_can_be_seen_from_the_floor() {
     println!("kept {share:.2} of all, {share_under:.2} of {all_under} undersides");
     assert!((0.4..0.9).contains(&share), "{share}");
     assert!(all_under > 300 && share_under < 0.5 * share, "{share_under} of {all_under}");
+}
+
+#[test]
+fn places_other_than_homes_have_what_their_names_say() {
+    let count = |kind: RoomKind, class: ClassId| -> usize {
+        let of = |room| {
+            let settings =
+                SyntheticRoomSettings { kind: Some(kind), flat_share: 1.0, ..settings(room, 500) };
+            let made = generate(&settings).unwrap();
+            assert_eq!((made.kind, made.num_rooms), (kind, 1), "such a place is no flat");
+            made.objects.iter().filter(|o| o.class == Some(class)).count()
+        };
+        (0..6).map(of).sum()
+    };
+    // In six of each, more than one a room.
+    for (kind, class, least) in [
+        (RoomKind::Pantry, ClassId::KitchenCabinet, 36),
+        (RoomKind::OpenOffice, ClassId::Desk, 30),
+        (RoomKind::Meeting, ClassId::Chair, 18),
+        (RoomKind::Shop, ClassId::Bookshelf, 36),
+        (RoomKind::Ward, ClassId::Bed, 12),
+        (RoomKind::Classroom, ClassId::Chair, 30),
+        (RoomKind::Workshop, ClassId::Box, 18),
+        (RoomKind::Lobby, ClassId::Chair, 18),
+    ] {
+        let found = count(kind, class);
+        assert!(found >= least, "{kind:?}: {found} of {class:?}, {least} expected");
+    }
+}
+
+#[test]
+fn a_depth_camera_leaves_points_of_what_it_saw_near_where_they_were() {
+    let (mut kept, mut made, mut off, mut lit) = (0, 0, Vec::new(), 0);
+    for number in 0..6 {
+        let of = |capture| {
+            let usual = SyntheticRoomSettings { capture, ..settings(number, 30_000) };
+            generate(&usual).unwrap()
+        };
+        let (whole, seen) = (of(Capture::Model), of(Capture::Depth));
+        seen.scene.check_rows().unwrap();
+        assert_eq!(whole.objects, seen.objects, "the same room");
+        assert!(seen.is_points && seen.is_walked);
+        (made, kept) = (made + whole.scene.len(), kept + seen.scene.len());
+        // Nearer to its own object's box than errors of range and place reach.
+        let instance = seen.scene.instance.as_ref().unwrap();
+        for (p, &of) in seen.scene.coord.iter().zip(instance) {
+            let [low, high] = seen.objects[of as usize].bounds;
+            let far = (0..3).map(|i| (low[i] - p[i]).max(p[i] - high[i]).max(0.0));
+            off.push(far.fold(0.0, f32::max));
+        }
+        // Bare points: one opacity, discs a tenth as thick.
+        let [a, b, c] = seen.scene.log_scale[0];
+        assert!(a == b && (a - c - std::f32::consts::LN_10).abs() < 1e-5);
+        lit +=
+            usize::from(seen.scene.opacity_logit.iter().all(|&o| o == seen.scene.opacity_logit[0]));
+    }
+    assert_eq!(lit, 6);
+    let share = kept as f64 / made as f64;
+    assert!((0.1..0.7).contains(&share), "{share} of all points");
+    off.sort_by(f32::total_cmp);
+    let at = |share: f64| off[(off.len() as f64 * share) as usize];
+    assert!(at(0.5) < 0.01 && at(0.95) < 0.06 && at(1.0 - 1e-9) < 0.25, "{} {}", at(0.5), at(0.95));
+    assert!(at(0.9) > 0.002, "no noise: {}", at(0.9));
 }
 
 fn flat(room: u64) -> SyntheticRoom {

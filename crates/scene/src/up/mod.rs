@@ -6,6 +6,7 @@
 //! The best is sharpened by a plane through its fullest level surface. All of it happens in the frame of the direction,
 //! so that a scene may lie in any pose. Where the best hardly leads, what the file or its format says decides.
 
+mod cameras;
 mod direction;
 mod evidence;
 mod peaks;
@@ -15,6 +16,7 @@ mod squareness;
 mod surface;
 mod walls;
 
+pub use cameras::up_of_cameras;
 pub use direction::Up;
 pub(crate) use direction::shortest_to_z;
 pub use evidence::UpEvidence;
@@ -47,8 +49,9 @@ const SQUARE: f64 = 10.0;
 /// What the file states is no direction to which so much less of the surface is level than to the best.
 const LEAST_LEVEL: f64 = 0.2;
 
-/// What it is worth that the file states a direction.
+/// What it is worth that a direction is near what the format of the file calls up, and next to what the file itself says.
 const STATED_WEIGHT: f64 = 0.1;
+const COMMENT_WEIGHT: f64 = 0.4;
 
 /// The direction that seems to be up.
 #[derive(Debug, Clone, PartialEq, Serialize)]
@@ -93,7 +96,11 @@ pub fn guess_up(scene: &GaussianScene, stated: StatedUp) -> UpGuess {
         .collect();
     let is_near = |up: Up| up.degrees_from(stated.direction) <= PITCH;
     for candidate in &mut candidates {
-        candidate.score += if is_near(candidate.direction) { STATED_WEIGHT } else { 0.0 };
+        candidate.score += match candidate.direction.degrees_from(stated.direction) {
+            off if off <= APART && stated.source == StatedUp::COMMENT => COMMENT_WEIGHT,
+            off if off <= PITCH => STATED_WEIGHT,
+            _ => 0.0,
+        };
     }
     // Stable: of equals the first wins, whatever the threads.
     candidates.sort_by(|a, b| b.score.total_cmp(&a.score));
