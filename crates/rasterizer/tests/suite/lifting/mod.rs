@@ -7,3 +7,4 @@ mod properties;
 mod recovery;
 mod segments;
 mod support;
+mod weights;
