@@ -10,7 +10,6 @@ mod pantry;
 mod public;
 mod things;
 
-pub(crate) use self::public::ground as public_ground;
 use crate::dice::{between, chance, weighted, whole};
 use crate::furniture;
 use crate::model::{Build, Model};

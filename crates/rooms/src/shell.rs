@@ -347,7 +347,7 @@ fn level_faces(layout: &mut Layout, plan: &Plan, rng: &mut SampleRng) {
         Some([x, y]) => vec![([0.0, 0.0], [l, w - y]), ([0.0, w - y], [l - x, w])],
     };
     let (name, ground) = match plan.is_public && chance(rng, 0.7) {
-        true => crate::recipe::public_ground(rng),
+        true => public_ground(rng),
         false => ground(plan.is_wet, rng),
     };
     let mut floor = Model::new(ClassId::Floor, name, 0.9);
@@ -383,4 +383,20 @@ fn ground(is_wet: bool, rng: &mut SampleRng) -> (ColorName, Material) {
     let base = name.sample(rng);
     let texture = Texture::Boards(between(rng, 0.08, 0.22), between(rng, 0.6, 1.8));
     (name, Material::new(base, texture, rng).with_second(base.map(|c| c * 0.8)))
+}
+
+/// Floors of places other than homes: carpets in narrow stripes, carpet tiles, stone.
+fn public_ground(rng: &mut SampleRng) -> (ColorName, Material) {
+    use ColorName::{Beige, Black, Blue, Brown, Green, Grey, White};
+    let name = pick(rng, &[Grey, Grey, Grey, Black, Blue, Brown, Beige, Green, White]);
+    let base = name.sample(rng);
+    let other = pick(rng, &[Grey, Black, White, Blue]).sample(rng);
+    let texture = match whole(rng, 0, 4) {
+        0 | 1 => Texture::Stripes(between(rng, 0.008, 0.05)),
+        2 => Texture::Checks(between(rng, 0.3, 0.6)),
+        3 => Texture::Tiles(between(rng, 0.3, 0.6)),
+        _ => Texture::Mottled(between(rng, 0.02, 0.2)),
+    };
+    let second = mix(base, other, between(rng, 0.1, 0.8));
+    (name, Material::new(base, texture, rng).with_second(second))
 }

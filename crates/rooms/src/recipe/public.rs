@@ -8,7 +8,6 @@ use crate::furniture::{
 use crate::model::{Build, Model};
 use crate::place::{BACKWARDS, Pose, STRAIGHT};
 use crate::stock::Place;
-use scenesplat_kernels::random::SampleRng;
 
 /// Upright at the back of what it stands on.
 const QUARTER: [f64; 2] = [0.0, 1.0];
@@ -342,23 +341,4 @@ impl Room<'_> {
             self.layout.on_top(parent, support, thing, turn, self.rng);
         }
     }
-}
-
-/// Materials of floors in such places: carpets in narrow stripes, carpet tiles, stone.
-pub(crate) fn ground(
-    rng: &mut SampleRng,
-) -> (crate::material::ColorName, crate::material::Material) {
-    use crate::material::ColorName::{Beige, Black, Blue, Brown, Green, Grey, White};
-    use crate::material::{Material, Texture};
-    let name = pick(rng, &[Grey, Grey, Grey, Black, Blue, Brown, Beige, Green, White]);
-    let base = name.sample(rng);
-    let other = pick(rng, &[Grey, Black, White, Blue]).sample(rng);
-    let texture = match whole(rng, 0, 4) {
-        0 | 1 => Texture::Stripes(between(rng, 0.008, 0.05)),
-        2 => Texture::Checks(between(rng, 0.3, 0.6)),
-        3 => Texture::Tiles(between(rng, 0.3, 0.6)),
-        _ => Texture::Mottled(between(rng, 0.02, 0.2)),
-    };
-    let second = crate::vector::mix(base, other, between(rng, 0.1, 0.8));
-    (name, Material::new(base, texture, rng).with_second(second))
 }
