@@ -187,6 +187,22 @@ mod tests {
     }
 
     #[test]
+    fn what_is_not_surely_a_class_is_none_and_names_of_nothing_are_not_listed() {
+        let folder = tempfile::tempdir().unwrap();
+        let rows = [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0]];
+        // A word that is not known may change what a chair is, and red tables are but some; no row is a lamp.
+        write(folder.path(), ["qwzxk chair", "red table", "lamp"], &rows, &[0.9, 0.8]);
+        let classes = names(&["chair", "table"]);
+        let found = taught_labels(folder.path(), &classes, true).unwrap();
+        assert_eq!(found.labels, [-1, -1]);
+        let unused = ["qwzxk chair", "red table"].map(|name| (name.to_owned(), 1));
+        assert_eq!(found.unused, unused);
+        // Without that word it is one.
+        write(folder.path(), ["dining chair", "red table", "lamp"], &rows, &[0.9, 0.8]);
+        assert_eq!(taught_labels(folder.path(), &classes, true).unwrap().labels, [0, -1]);
+    }
+
+    #[test]
     fn files_that_do_not_fit_are_named() {
         let folder = tempfile::tempdir().unwrap();
         let refused = |part: &str| {

@@ -340,6 +340,36 @@ mod tests {
     }
 
     #[test]
+    fn a_decoder_learns_from_the_rows_that_the_other_probes_learn_from() {
+        use super::super::rows::choose;
+        use candle_core::{Device, Tensor};
+        // Each voxel has a class of its own, which tells it from all others; so has its row.
+        let scene = |first: i32| {
+            let labels: Vec<i32> = (first..first + 12).collect();
+            let rows: Vec<f32> = labels.iter().map(|label| *label as f32).collect();
+            ProbeScene {
+                id: first.to_string(),
+                rows: Tensor::from_vec(rows, (12, 1), &Device::Cpu).unwrap(),
+                instances: None,
+                voxel_of: (0..12).collect(),
+                truth: labels.clone(),
+                batch: TrainBatch { coord: vec![[0.0; 3]; 12], ..TrainBatch::default() },
+                labels,
+            }
+        };
+        let scenes = [scene(0), scene(12), scene(24)];
+        let labels = LabelRegime::PerScene(4);
+        let settings = ProbeSettings { labels, seed: 8, ..ProbeSettings::default() };
+        let segments = labelled_batches(&scenes, &settings).unwrap().into_iter();
+        let taught = segments.flat_map(|batch| batch.segment.unwrap());
+        let taught: Vec<i32> = taught.filter(|label| *label >= 0).collect();
+        assert_eq!(taught, choose(&scenes, labels, 8).unwrap().labels);
+        // Not the same places in each scene.
+        let places = |scene: usize| taught[4 * scene..][..4].iter().map(|label| label % 12);
+        assert!(!places(0).eq(places(1)) || !places(0).eq(places(2)), "{taught:?}");
+    }
+
+    #[test]
     fn a_decoder_has_a_block_a_scale_over_the_encoder_as_it_is() {
         let mut own = PointTransformerV3Config {
             drop_path: 0.3,

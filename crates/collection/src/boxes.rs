@@ -202,3 +202,6 @@ pub(crate) fn chosen(
     best.1.sort_unstable();
     best.1
 }
+
+#[cfg(test)]
+mod by_hand;

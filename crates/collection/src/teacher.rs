@@ -270,6 +270,25 @@ mod tests {
     }
 
     #[test]
+    fn of_two_boxes_around_a_thing_the_smaller_has_it_and_not_the_narrower() {
+        // A square of 16 × 16 in a box of 64 × 16 and in one of 32 × 48, which is the larger.
+        let is_square = |x: u32, y: u32| (24..40).contains(&x) && (16..32).contains(&y);
+        let picture =
+            RgbPicture::from_fn(64, 48, |x, y| [if is_square(x, y) { 250 } else { 40 }; 3]);
+        let view = view(64, 48);
+        let posed = PosedPicture { name: "a", picture: &picture, view: &view, depth: None };
+        let flat = named([0.0, 16.0, 64.0, 32.0], &[(0, 0.9)]);
+        let tall = named([16.0, 0.0, 48.0, 48.0], &[(1, 0.9)]);
+        for boxes in [[flat.clone(), tall.clone()], [tall, flat]] {
+            let teacher = BoxTeacher::new(Given(boxes.to_vec()), &VECTORS, 2).unwrap();
+            let taught = teacher.teach(&posed).unwrap();
+            let shown = taught.segmented.map.ids().iter().filter(|id| **id == 0).count();
+            assert!((200..=330).contains(&shown), "{shown}");
+            assert_eq!((taught.features, taught.segmented.left_out), (vec![1.0, 0.0], 1));
+        }
+    }
+
+    #[test]
     fn boxes_that_show_nothing_are_left_out() {
         // Between superpixels, all of which lie mostly outside.
         let thin = vec![

@@ -73,12 +73,12 @@ pub fn plan_views(
     let mut plan = planner.pick(&planner.around_places(&inside), false)?;
     if plan.cameras.is_empty() || plan.seen < INSIDE {
         // A thing alone has no inside: places in its box see little of it.
-        let tried = plan.tried;
         let around = planner.pick(&planner.orbits(), true)?;
+        let (tried, refused) = (plan.tried + around.tried, plan.refused + around.refused);
         if plan.cameras.is_empty() || around.seen > plan.seen {
             plan = around;
         }
-        plan.tried += tried;
+        (plan.tried, plan.refused) = (tried, refused);
     }
     if plan.cameras.is_empty() {
         let problem = format!("none of {} views of the scene shows anything", plan.tried);

@@ -176,6 +176,29 @@ mod tests {
     }
 
     #[test]
+    fn a_panel_between_two_bins_is_one() {
+        let parts = |[left, right]: [f32; 2]| {
+            // Drawers at both sides without the panel between them, which has 5 of 12 depths at 11 of 16 heights.
+            let (mut coord, [drawers, panel]) = desk(&(0..=16));
+            coord.drain(drawers as usize..(drawers + panel) as usize);
+            let first = coord.len() as u32;
+            for y in 0..=4_u8 {
+                let y = f32::from(y) * 0.05;
+                let mut add = |x: f32, heights: &[u8]| {
+                    coord.extend(heights.iter().map(|z| [x, y, f32::from(*z) * 0.05]));
+                };
+                add(left, &[0, 2, 4, 6, 8, 10]);
+                add(right, &[7, 12, 14, 15, 16]);
+            }
+            let rows: Vec<u32> = (0..coord.len() as u32).collect();
+            let facing = |row: u32, d: [f32; 2]| (row >= first).then_some(d[0]);
+            split(&rows, &coord, facing).map_or(1, |parts| parts.len())
+        };
+        // Bins of 2 cm: in one, in two that are neighbors, and in two that are not.
+        assert_eq!([parts([0.71, 0.71]), parts([0.71, 0.73]), parts([0.69, 0.73])], [2, 2, 1]);
+    }
+
+    #[test]
     fn panels_are_cut_where_they_cover_enough_and_lie_apart() {
         let of = |covers: &[(usize, f64)]| {
             let mut cover = vec![0.0; 101];
@@ -190,6 +213,8 @@ mod tests {
         // The fullest of those within 0.38 m, of equal ones the first; then what is left.
         assert_eq!(of(&[(30, 0.5), (40, 0.8), (58, 0.7), (60, 0.6)]), [80, 120]);
         assert_eq!(of(&[(50, 0.5), (51, 0.5), (75, 0.4)]), [100, 150]);
+        // Before the fullest as well as behind it.
+        assert_eq!(of(&[(25, 0.5), (60, 0.9)]), [50, 120]);
     }
 
     #[test]

@@ -272,6 +272,9 @@ mod tests {
         assert_eq!(found.segments[0].gaussians, [-1, 1]);
         assert_eq!((found.scene.segment, report.too_far), (None, 1));
         assert_eq!(report.unknown, []);
+        // Gaussians count, not the two points and the one that have such names.
+        let labelled = [("segment".to_owned(), 1), ("segment20".to_owned(), 0)];
+        assert_eq!(report.labelled, labelled);
     }
 
     #[test]

@@ -229,3 +229,41 @@ fn settings_without_a_picture_or_an_angle_are_refused() {
         (false, 8 * 24, "view_005")
     );
 }
+
+/// A closed box of few large Gaussians around a block of many small ones, most of which hide behind others.
+fn closed() -> Gaussians {
+    let side = [4.0f32, 3.0, 2.5];
+    let (mut means, mut scales) = (Vec::new(), Vec::new());
+    for (axis, end) in (0..3).flat_map(|axis| [(axis, 0.0), (axis, 1.0)]) {
+        let (u, v) = ((axis + 1) % 3, (axis + 2) % 3);
+        for i in 0..36 {
+            let mut p = [0.0; 3];
+            p[axis] = end * side[axis];
+            p[u] = side[u] * ((i % 6) as f32 + 0.5) / 6.0;
+            p[v] = side[v] * ((i / 6) as f32 + 0.5) / 6.0;
+            means.push(p);
+            scales.push([0.35; 3]);
+        }
+    }
+    means.extend((0..1000).map(|i| [i % 10, i / 10 % 10, i / 100].map(|v| 1.0 + 0.08 * v as f32)));
+    scales.resize(means.len(), [0.06; 3]);
+    Gaussians { scales, opacities: vec![0.98; means.len()], ..gaussians(means, Vec::new(), 0.0) }
+}
+
+#[test]
+fn views_that_were_tried_count_wherever_the_cameras_stand() {
+    let mut inside_stays = 0;
+    for (scene, count) in [(room(), 6), (closed(), 1)] {
+        let settings = settings(count);
+        let planner = Planner::of(&scene, settings).unwrap();
+        let inside = planner.pick(&planner.around_places(&planner.free_places()), false).unwrap();
+        let around = planner.pick(&planner.orbits(), true).unwrap();
+        let both = inside.seen < 0.5;
+        let plan = plan_views(&scene, &settings).unwrap();
+        let of = |of: fn(&ViewPlan) -> usize| of(&inside) + if both { of(&around) } else { 0 };
+        assert_eq!((plan.tried, plan.refused), (of(|p| p.tried), of(|p| p.refused)), "{count}");
+        assert_eq!(plan.outside, both && around.seen > inside.seen, "{count}");
+        inside_stays += usize::from(both && !plan.outside);
+    }
+    assert!(inside_stays > 0, "no plan keeps its places inside after it looked from around");
+}

@@ -242,4 +242,6 @@ fn a_piece_stands_when_seven_of_ten_flat_gaussians_are_upright() {
     };
     assert!(stands(&ten(7, 0.34)) && stands(&ten(7, -0.34)));
     assert!(!stands(&ten(6, 0.0)) && !stands(&ten(7, 0.36)) && !stands(&[]));
+    // A ceiling faces down.
+    assert!(!stands(&[-0.9; 10]));
 }

@@ -138,3 +138,17 @@ fn weights_are_read_in_every_form() {
     let sums = [0.5 + 127.5 + 1.5 + 0.25 + 100.0, 126.5 + 255.0 - 2.0 - 8.0 + 200.0];
     assert_eq!((run[0].0, run[0].1.as_floats().unwrap()), ("one", &sums[..]));
 }
+
+#[test]
+fn an_output_that_another_layer_reads_keeps_its_values() {
+    let mut made = GraphFile::default();
+    made.node("picture", "Placeholder", &[], json!({}));
+    made.node("bent", "LeakyRelu", &["picture"], json!({}));
+    made.node("again", "LeakyRelu", &["bent"], json!({}));
+    made.outputs = vec![("a", "bent:0"), ("b", "again:0")];
+    let folder = tempfile::tempdir().unwrap();
+    let graph = Graph::open(&made.write(folder.path())).unwrap();
+    let found = graph.run(Tensor::floats(vec![2], vec![-1.0, 3.0])).unwrap();
+    let values = |at: usize| found[at].1.as_floats().unwrap();
+    assert_eq!((found[0].0, values(0), values(1)), ("a", &[-0.2, 3.0][..], &[-0.2 * 0.2, 3.0][..]));
+}
