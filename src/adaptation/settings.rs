@@ -21,7 +21,7 @@ pub struct AdaptSettings {
 
 impl Default for AdaptSettings {
     fn default() -> Self {
-        Self { steps: 300, seed: 0, lr: 6e-4, held_out: 0.2, rooms: 6, room_gaussians: None }
+        Self { steps: 200, seed: 0, lr: 1e-3, held_out: 0.2, rooms: 6, room_gaussians: None }
     }
 }
 
