@@ -2,8 +2,9 @@
 //!
 //! The scene is one of the training's data sets ([`write_scene`]): where it has a label that label is learned, elsewhere what
 //! the network said before; some labels are held out ([`held_out`]). The training is an [experiment](crate::experiment) by the
-//! recipe in `configs/adapt.toml` ([`experiment`]). [`Exam`] says what the network knows before and after.
+//! recipe in `configs/adapt.toml` ([`experiment`]); of its weights and those before a mean is taken ([`write_blend`]). [`Exam`] says what the network knows before and after.
 
+mod blend;
 mod error;
 mod figures;
 mod labels;
@@ -11,6 +12,7 @@ mod recipe;
 mod settings;
 mod split;
 
+pub use blend::write_blend;
 pub use error::AdaptError;
 pub use figures::{AgainstTruth, Exam, Figures, OfRooms, Progress, Right};
 pub use labels::{LabelFiles, OwnLabels, class_of_names};
@@ -19,12 +21,13 @@ pub use settings::{AdaptSettings, Folders};
 pub use split::held_out;
 
 use crate::experiment::export::write_model;
+use crate::experiment::furniture::ATTRIBUTION;
 use crate::inference::SceneFeatures;
 use crate::{Network, embedded};
 use half::f16;
 use scenesplat_rooms::Vocabulary;
 use scenesplat_scene::formats::npy_folder::write_npy_folder;
-use scenesplat_scene::{GaussianScene, LanguageFeatures, TextTable};
+use scenesplat_scene::{AtomicFile, GaussianScene, LanguageFeatures, TextTable};
 use std::path::PathBuf;
 
 /// The name of the scene in the training's data.
@@ -85,5 +88,8 @@ pub fn write_scene(
 pub fn write_start(folders: &Folders) -> Result<PathBuf, AdaptError> {
     let tensors = embedded::tensors()?.into_iter().collect();
     write_model(&tensors, &embedded::config()?, &folders.start())?;
+    // Who made what it learned from is named wherever the weights go.
+    let list = folders.start().join(ATTRIBUTION);
+    AtomicFile::write(&list, embedded::attribution().as_bytes())?;
     Ok(folders.start())
 }

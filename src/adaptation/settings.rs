@@ -12,6 +12,8 @@ pub struct AdaptSettings {
     pub lr: f64,
     /// Share of the labels that are held out, 0 to below 1.
     pub held_out: f64,
+    /// How far the weights go from those before to those trained, above 0 to 1.
+    pub share: f64,
     /// Rooms that figures are of.
     pub rooms: usize,
     /// Gaussians of rooms, to learn from and to score; by their size if not given.
@@ -21,7 +23,15 @@ pub struct AdaptSettings {
 
 impl Default for AdaptSettings {
     fn default() -> Self {
-        Self { steps: 200, seed: 0, lr: 1e-3, held_out: 0.2, rooms: 6, room_gaussians: None }
+        Self {
+            steps: 80,
+            seed: 0,
+            lr: 1e-3,
+            held_out: 0.2,
+            share: 0.5,
+            rooms: 6,
+            room_gaussians: None,
+        }
     }
 }
 
@@ -50,6 +60,11 @@ impl Folders {
     /// The weights to start from, where they are inside the program.
     pub fn start(&self) -> PathBuf {
         self.out.join("start")
+    }
+
+    /// The network between the one before and the one trained.
+    pub fn model(&self) -> PathBuf {
+        self.out.join("blended")
     }
 
     /// The training.

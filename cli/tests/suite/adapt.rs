@@ -27,7 +27,7 @@ fn half_labeled(folder: &Folder) -> Vec<i32> {
 fn a_network_learns_a_scene_and_is_a_model_that_commands_take() {
     let folder = Folder::new();
     half_labeled(&folder);
-    let words = "@room --labels @half.npy --truth --steps 24 --lr 0.002 --seed 5";
+    let words = "@room --labels @half.npy --truth --steps 24 --lr 0.002 --share 1 --seed 5";
     let said = printed(&adapt(&folder, &format!("{words} --threads 1 --out @one")));
     has(&said, &["labels that were learned", "labels held out", "mIoU of other classes"]);
     has(&said, &["one --text vocabulary", "no more said: --strange"]);

@@ -1,6 +1,6 @@
 //! The flags of `adapt`.
 
-use crate::flags::{Shared, SourceArgs, parse_share, parse_unit, parse_up};
+use crate::flags::{Shared, SourceArgs, parse_part, parse_share, parse_unit, parse_up};
 use scenesplat::AlignmentSettings;
 use scenesplat::adaptation::AdaptSettings;
 use scenesplat::network::Weights;
@@ -42,6 +42,9 @@ pub struct Args {
     /// Largest learning rate; parameters inside blocks have a tenth of it.
     #[arg(long, value_name = "RATE", default_value_t = AdaptSettings::default().lr, value_parser = crate::flags::parse_positive)]
     pub lr: f64,
+    /// How far the weights go from those before to those trained: 1 is all the way, and forgets more.
+    #[arg(long, value_name = "SHARE", default_value_t = AdaptSettings::default().share, value_parser = parse_part)]
+    pub share: f64,
     /// Share of the labels that are not learned but compared with, in cubes of half a meter; below 1, 0 learns all.
     #[arg(long, value_name = "SHARE", default_value_t = AdaptSettings::default().held_out, value_parser = parse_share)]
     pub held_out: f64,
@@ -71,9 +74,9 @@ pub struct Args {
 impl Args {
     /// How the network learns.
     pub fn settings(&self) -> AdaptSettings {
-        let Self { steps, seed, lr, held_out, rooms, .. } = *self;
+        let Self { steps, seed, lr, held_out, share, rooms, .. } = *self;
         let room_gaussians = self.room_gaussians.and_then(|n| usize::try_from(n).ok());
-        AdaptSettings { steps, seed, lr, held_out, rooms, room_gaussians }
+        AdaptSettings { steps, seed, lr, held_out, share, rooms, room_gaussians }
     }
 
     /// What is known of how the scene lies.

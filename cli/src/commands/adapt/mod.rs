@@ -18,6 +18,7 @@ use candle_core::Device;
 use lesson::Lesson;
 use scenesplat::adaptation::{self, Figures, Folders};
 use scenesplat::calibration::Calibration;
+use scenesplat::experiment::furniture::ATTRIBUTION;
 use scenesplat::experiment::{RunOptions, RunReport};
 use scenesplat::inference::{EncodeError, EncodeProgress};
 use scenesplat::network::{WeightOptions, Weights, network_of};
@@ -43,7 +44,7 @@ pub fn run(args: &Args, line: &str) -> Result<()> {
     }
     let names = [args.label_names.as_deref(), args.class_map.as_deref()];
     session.outputs.reads_any(names.into_iter().chain([Some(args.labels.as_path())]))?;
-    session.outputs.open_folder(&[MODEL[0], MODEL[1], CALIBRATION, FIGURES])?;
+    session.outputs.open_folder(&[MODEL[0], MODEL[1], CALIBRATION, FIGURES, ATTRIBUTION])?;
     let config = network_of(&args.weights, None, &WeightOptions::default())?;
     let network = load(&config, &args.weights)?;
     report::note_weights(&session, &network, args);
@@ -60,9 +61,13 @@ pub fn run(args: &Args, line: &str) -> Result<()> {
         figures(&lesson, &network, calibration.as_ref(), &session.progress)?
     };
     report::warn_of_strangers(&session, &before);
+    let start = match &args.weights {
+        Weights::File(path) => std::path::absolute(path).unwrap_or_else(|_| path.clone()),
+        _ => adaptation::write_start(&folders)?,
+    };
     let trained = {
         let _stage = session.receipt.stage("train");
-        train_network(args, &config, &folders)?
+        train_network(args, &config, &start, &folders)?
     };
     let at = trained.progress;
     if at.step < at.total_steps {
@@ -73,14 +78,20 @@ pub fn run(args: &Args, line: &str) -> Result<()> {
         return Err(Saved.into());
     }
     let _stage = session.receipt.stage("after");
-    let adapted = load(&config, &Weights::File(trained.model.clone()))?;
-    let weights = sha256_of(&trained.model.join(MODEL[0]))?.0;
+    adaptation::write_blend(&config, &start, &trained.model, args.share, &folders)?;
+    let model = folders.model();
+    let adapted = load(&config, &Weights::File(model.clone()))?;
+    let weights = sha256_of(&model.join(MODEL[0]))?.0;
     let calibration = lesson.exam().calibrate(&adapted, weights, &mut shown(&session.progress))?;
     session.progress.finish();
     let after = figures(&lesson, &adapted, Some(&calibration), &session.progress)?;
     drop(_stage);
     for name in MODEL {
-        session.write(name, |path| std::fs::copy(trained.model.join(name), path).map(drop))?;
+        session.write(name, |path| std::fs::copy(model.join(name), path).map(drop))?;
+    }
+    let makers = trained.model.join(ATTRIBUTION);
+    if makers.is_file() {
+        session.write(ATTRIBUTION, |path| std::fs::copy(&makers, path).map(drop))?;
     }
     session.write_text(CALIBRATION, &serde_json::to_string_pretty(&calibration)?)?;
     report::write(&session, args, &lesson, [&before, &after])?;
@@ -125,12 +136,13 @@ fn shown(progress: &Progress) -> impl FnMut(&str, EncodeProgress) -> Result<(), 
 }
 
 /// Trains, or goes on with the training in the folder.
-fn train_network(args: &Args, network: &NetworkConfig, folders: &Folders) -> Result<RunReport> {
-    let start = match &args.weights {
-        Weights::File(path) => std::path::absolute(path).unwrap_or_else(|_| path.clone()),
-        _ => adaptation::write_start(folders)?,
-    };
-    let config = adaptation::experiment(network, start, folders, &args.settings())?;
+fn train_network(
+    args: &Args,
+    network: &NetworkConfig,
+    start: &Path,
+    folders: &Folders,
+) -> Result<RunReport> {
+    let config = adaptation::experiment(network, start.to_owned(), folders, &args.settings())?;
     let stop = Arc::default();
     train::watch(Arc::clone(&stop));
     let options = RunOptions {

@@ -127,6 +127,11 @@ pub fn write(
     receipt.setting("seed", settings.seed, "order, augmentation, rooms, held-out labels");
     receipt.setting("lr", settings.lr, "largest learning rate");
     receipt.setting("held_out", settings.held_out, "share of the labels that are compared with");
+    receipt.setting(
+        "share",
+        settings.share,
+        "how far weights go from those before to those trained",
+    );
     let mut group = String::new();
     for row in rows([before, after]) {
         let name = row.name.trim();
