@@ -14,6 +14,11 @@ const CONFIG: &str = include_str!("../assets/embedded/config.json");
 /// Name that receipts and messages give it.
 pub const NAME: &str = "embedded";
 
+/// Who made the models of furniture that it was trained on: it goes where the weights go.
+pub fn attribution() -> &'static str {
+    include_str!("../assets/embedded/ATTRIBUTION.md")
+}
+
 /// Its shape, and what it reads.
 ///
 /// # Errors

@@ -24,6 +24,7 @@
 //! # }
 //! ```
 
+pub mod adaptation;
 pub mod alignment;
 pub mod calibration;
 mod cholesky;

@@ -47,17 +47,13 @@ pub struct TaughtLabels {
     pub unused: Vec<(String, usize)>,
 }
 
-/// Reads what a teacher saw as some of the classes `names`. A text of the teacher is the class of its name; where the classes
-/// are the built-in vocabulary's (`is_vocabulary`), it is what its phrase surely means ("dining table" a table).
-///
-/// # Errors
-/// If a file is missing, is damaged, or does not fit the others.
-pub fn taught_labels(
-    folder: &Path,
+/// The class that each of a teacher's texts is: that of its name; where the classes are the built-in vocabulary's, the one that
+/// its phrase surely means.
+pub(crate) fn classes_of_names(
+    texts: &[String],
     names: &[String],
     is_vocabulary: bool,
-) -> Result<TaughtLabels, TaughtError> {
-    let texts = read_text_table(&folder.join(TEXTS), None)?;
+) -> Result<Vec<Option<usize>>, PhraseError> {
     let reader = is_vocabulary.then(|| PhraseReader::new(None)).transpose()?;
     let class = |text: &String| {
         let own = names.iter().position(|name| name == text);
@@ -69,7 +65,21 @@ pub fn taught_labels(
         };
         own.or_else(|| meant().and_then(|meant| names.iter().position(|name| name == meant)))
     };
-    let classes: Vec<Option<usize>> = texts.names.iter().map(class).collect();
+    Ok(texts.iter().map(class).collect())
+}
+
+/// Reads what a teacher saw as some of the classes `names`. A text of the teacher is the class of its name; where the classes
+/// are the built-in vocabulary's (`is_vocabulary`), it is what its phrase surely means ("dining table" a table).
+///
+/// # Errors
+/// If a file is missing, is damaged, or does not fit the others.
+pub fn taught_labels(
+    folder: &Path,
+    names: &[String],
+    is_vocabulary: bool,
+) -> Result<TaughtLabels, TaughtError> {
+    let texts = read_text_table(&folder.join(TEXTS), None)?;
+    let classes = classes_of_names(&texts.names, names, is_vocabulary)?;
 
     let path = folder.join("lang_feat.npy");
     let file = NpyFile::open(&path)?;

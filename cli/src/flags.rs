@@ -324,6 +324,18 @@ pub fn parse_positive(text: &str) -> Result<f64, String> {
     }
 }
 
+/// Reads a share that is not all.
+pub fn parse_share(text: &str) -> Result<f64, String> {
+    let share = text.parse().ok().filter(|share| (0.0..1.0).contains(share));
+    share.ok_or_else(|| format!("{text:?}: a share is expected, 0 to below 1, such as 0.2"))
+}
+
+/// Reads a share that is not nothing.
+pub fn parse_part(text: &str) -> Result<f64, String> {
+    let share = text.parse().ok().filter(|share| *share > 0.0 && *share <= 1.0);
+    share.ok_or_else(|| format!("{text:?}: a share is expected, above 0 to 1, such as 0.5"))
+}
+
 /// Reads the size of voxels, meters.
 pub fn parse_grid_size(text: &str) -> Result<f64, String> {
     let size = text.parse().ok().filter(|size| is_grid_size(*size));

@@ -478,6 +478,6 @@ mod tests {
                 read += 1;
             }
         }
-        assert_eq!(read, 79);
+        assert_eq!(read, 80);
     }
 }

@@ -1,6 +1,7 @@
 //! The commands of the program. Exit codes: 0 done, 1 failed, 2 wrong use, 3 some of many scenes failed, 4 a
 //! training stopped and saved.
 
+mod adapt;
 mod bench;
 mod chunk;
 mod classes;
@@ -118,6 +119,8 @@ enum Command {
     Convert(convert::Args),
     /// Trains a network as a file says.
     Train(train::Args),
+    /// Teaches a network the labels of one scene, beside synthetic rooms.
+    Adapt(Box<adapt::Args>),
     /// Asks what a network has learned: a small classifier on its rows, beside an untrained network.
     Probe(probe::Args),
     /// Draws what self-supervised training makes of masked parts of a scene.
@@ -255,6 +258,7 @@ impl Command {
             Self::Compare(args) => compare::run(args),
             Self::Convert(args) => convert::run(args),
             Self::Train(args) => train::run(args),
+            Self::Adapt(args) => adapt::run(args, line),
             Self::Probe(args) => probe::run(args),
             Self::Reconstruct(args) => reconstruct::run(args, line),
             Self::Codes(args) => codes::run(args, line),

@@ -18,7 +18,7 @@ const fn row(group: &'static str, path: &'static str, example: &'static str) -> 
 }
 
 /// All commands, in the order in which the help shows them.
-const ROWS: [Row; 35] = [
+const ROWS: [Row; 36] = [
     row("Look", "inspect", "scenesplat inspect scene.ply --json scene.json"),
     row("Look", "view", "scenesplat view room.ply --out room.html"),
     row("Look", "render", "scenesplat render scene.ply --cameras cameras.json --out pictures"),
@@ -64,6 +64,7 @@ const ROWS: [Row; 35] = [
         "train",
         "scenesplat train experiment.toml --set optimizer.lr=1e-3 --out runs/mine",
     ),
+    row("Train", "adapt", "scenesplat adapt kitchen.ply --labels taught --out adapted"),
     row(
         "Train",
         "prepare",

@@ -1,6 +1,6 @@
 //! `scenesplat room`
 
-use super::Cli;
+use super::{Cli, adapt};
 use crate::error::refuse;
 use crate::flags::Shared;
 use crate::receipt::sha256_of;
@@ -46,6 +46,9 @@ pub struct Args {
     /// labels the scene.
     #[arg(long, value_name = "FILE.json")]
     pub detector: Option<PathBuf>,
+    /// The network learns what the detector found, as adapt teaches it, before it labels the scene.
+    #[arg(long, requires = "detector")]
+    pub adapt: bool,
     /// Flags of all commands.
     #[command(flatten)]
     pub shared: Shared,
@@ -66,7 +69,8 @@ pub fn run(args: &Args, line: &str) -> Result<()> {
     let mut stages = args.frames_stage()?.into_iter().collect::<Vec<_>>();
     let posed =
         if stages.is_empty() { args.frames.clone() } else { args.shared.out.join("frames") };
-    let count = stages.len() + 4 + usize::from(args.detector.is_some());
+    let labels_from = stages.len() + args.scene_stages(&posed).len();
+    let count = labels_from + 3;
     session.outputs.open_folder(&[&RESULTS.map(|(name, _)| name)[..], &[PAGE]].concat())?;
     // Stages lie beside the results, where the next run finds them.
     let out = &args.shared.out;
@@ -76,8 +80,12 @@ pub fn run(args: &Args, line: &str) -> Result<()> {
     for number in 0..count {
         session.check_stop()?;
         if number == stages.len() {
-            // Whether frames have depth is known when they are there.
-            stages.extend(args.stages(&posed));
+            // Whether frames have depth is known when they are there, and how the scene lies when the network learned it.
+            let further = match number < labels_from {
+                true => args.scene_stages(&posed),
+                false => args.label_stages()?,
+            };
+            stages.extend(further);
         }
         let stage = &stages[number];
         let folder = out.join(stage.name);
@@ -124,14 +132,9 @@ pub fn run(args: &Args, line: &str) -> Result<()> {
     }
     session.finish()?;
     print(&format!("open {} in a browser; then ask:", out.join(PAGE).display()));
-    let taught = args
-        .detector
-        .as_ref()
-        .map_or(String::new(), |_| format!(" --taught {}", out.join("taught").display()));
-    print(&format!(
-        "  scenesplat objects {}{taught} --find \"chair\"",
-        out.join("scene.ply").display()
-    ));
+    let mut words = vec![text(&out.join("scene.ply"))];
+    words.extend(args.labelling()?);
+    print(&format!("  scenesplat objects {} --find \"chair\"", words.join(" ")));
     Ok(())
 }
 
@@ -212,16 +215,14 @@ impl Args {
         Ok(Some(Stage { name: "frames", words: self.with_running(words) }))
     }
 
-    /// What comes after the frames, which are in the folder `posed`.
-    fn stages(&self, posed: &Path) -> Vec<Stage> {
+    /// What makes a scene of the frames, which are in the folder `posed`, and what is learned of it.
+    fn scene_stages(&self, posed: &Path) -> Vec<Stage> {
         let flag = |flag: &str, path: &Path| [flag.to_owned(), text(path)];
         let mut pictures = flag("--cameras", &posed.join("cameras.json")).to_vec();
         pictures.extend(flag("--images", &posed.join("images")));
         if posed.join("depth").is_dir() {
             pictures.extend(flag("--depth", &posed.join("depth")));
         }
-        let mut stages = Vec::new();
-        let mut stage = |name, words| stages.push(Stage { name, words: self.with_running(words) });
         let mut words = vec!["optimise".to_owned()];
         words.extend(pictures.clone());
         for (flag, value) in
@@ -233,32 +234,54 @@ impl Args {
             words.extend(["--init", "depth"].map(str::to_owned));
         }
         words.extend(["--out".to_owned(), self.inner("scene")]);
-        stage("scene", words);
-        let scene = self.inner("scene/scene.ply");
-        let mut taught = Vec::new();
-        if let Some(detector) = &self.detector {
-            let mut words = vec!["collect-labels".to_owned(), scene.clone()];
-            words.extend(pictures);
-            words.extend(["--teacher".to_owned(), "detector".to_owned()]);
-            words.extend(flag("--detector", detector));
-            words.extend(["--out".to_owned(), self.inner("taught")]);
-            stage("taught", words);
-            taught = vec!["--taught".to_owned(), self.inner("taught")];
+        let mut stages = vec![Stage { name: "scene", words: self.with_running(words) }];
+        let Some(detector) = &self.detector else { return stages };
+        let mut words = vec!["collect-labels".to_owned(), self.inner("scene/scene.ply")];
+        words.extend(pictures);
+        words.extend(["--teacher".to_owned(), "detector".to_owned()]);
+        words.extend(flag("--detector", detector));
+        words.extend(["--out".to_owned(), self.inner("taught")]);
+        stages.push(Stage { name: "taught", words: self.with_running(words) });
+        if self.adapt {
+            let mut words = vec!["adapt".to_owned(), self.inner("scene/scene.ply")];
+            words.extend(["--labels".to_owned(), self.inner("taught")]);
+            // What lies there of other frames is of no use.
+            words.extend(["--anew".to_owned(), "--out".to_owned(), self.inner("adapted")]);
+            stages.push(Stage { name: "adapted", words: self.with_running(words) });
         }
-        let labeled = |command: &str, out: [String; 2]| {
-            [command.to_owned(), scene.clone()]
-                .into_iter()
-                .chain(taught.clone())
-                .chain(out)
-                .collect()
-        };
-        let out = |name: &str| ["--out".to_owned(), self.inner(name)];
-        stage("labels", labeled("segment", out("labels")));
-        stage("objects", labeled("objects", out("objects")));
-        let mut page: Vec<String> = labeled("view", out(&format!("page/{PAGE}")));
-        page.extend(["--receipt".to_owned(), self.inner("page/receipt.json")]);
-        stage("page", page);
         stages
+    }
+
+    /// What comes of the scene.
+    fn label_stages(&self) -> Result<Vec<Stage>> {
+        let (scene, labelling) = (self.inner("scene/scene.ply"), self.labelling()?);
+        let stage = |name: &'static str, command: &str, out: &str, more: &[String]| {
+            let mut words = vec![command.to_owned(), scene.clone()];
+            words.extend(labelling.clone());
+            words.extend(["--out".to_owned(), self.inner(out)]);
+            words.extend_from_slice(more);
+            Stage { name, words: self.with_running(words) }
+        };
+        let receipt = ["--receipt".to_owned(), self.inner("page/receipt.json")];
+        Ok(vec![
+            stage("labels", "segment", "labels", &[]),
+            stage("objects", "objects", "objects", &[]),
+            stage("page", "view", &format!("page/{PAGE}"), &receipt),
+        ])
+    }
+
+    /// Flags of what labels the scene.
+    fn labelling(&self) -> Result<Vec<String>> {
+        let mut words = Vec::new();
+        if self.detector.is_some() {
+            words.extend(["--taught".to_owned(), self.inner("taught")]);
+        }
+        if self.adapt {
+            words.extend(["--weights".to_owned(), self.inner("adapted")]);
+            words.extend(["--text".to_owned(), "vocabulary".to_owned()]);
+            words.extend(adapt::flags(&self.shared.out.join("adapted"))?);
+        }
+        Ok(words)
     }
 
     /// A file or folder below --out.

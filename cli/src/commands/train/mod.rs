@@ -103,11 +103,7 @@ impl Args {
 
     /// What shows the run.
     fn console(&self) -> Option<MakeConsole> {
-        match (self.running.quiet, log::is_json()) {
-            (true, _) => None,
-            (false, true) => Some(|| Box::new(JsonConsole)),
-            (false, false) => Some(|| Box::new(Console::new())),
-        }
+        console(&self.running)
     }
 
     /// The file of the experiment, and the folder of the run.
@@ -210,8 +206,17 @@ fn tell(report: &RunReport) {
     }
 }
 
+/// What shows a training.
+pub(super) fn console(running: &Running) -> Option<MakeConsole> {
+    match (running.quiet, log::is_json()) {
+        (true, _) => None,
+        (false, true) => Some(|| Box::new(JsonConsole)),
+        (false, false) => Some(|| Box::new(Console::new())),
+    }
+}
+
 /// Sets `stop` when the user asks to stop.
-fn watch(stop: Arc<AtomicBool>) {
+pub(super) fn watch(stop: Arc<AtomicBool>) {
     std::thread::spawn(move || {
         while !interrupted() {
             std::thread::sleep(Duration::from_millis(50));

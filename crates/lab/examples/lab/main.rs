@@ -7,6 +7,7 @@
 //! | `effect-costs` | rooms (12), Gaussians of each (40,000); writes `assets/embedded/effect_costs.json` |
 //! | `effect-thresholds` | folder, first seed, rooms, effects (all) |
 //! | `embedded-assets` | folders of models, whose mean is taken; `SCENESPLAT_FURNITURE` |
+//! | `half-labels` | folder, a scene (a file, or `synthetic:SEED:ROOM`, `scanned:` or `furnished:`), seed (0) |
 //! | `objects-of-rooms` | rooms (20), seed (2026) |
 //! | `picture-effects` | first room (200), rooms (8) |
 //! | `poses` | poses of each scene, `own` or `any` unit, scenes (files, `synthetic:SEED` or `furnished:SEED`) |
@@ -18,6 +19,7 @@
 mod effect_costs;
 mod effect_thresholds;
 mod embedded_assets;
+mod half_labels;
 mod objects_of_rooms;
 mod picture_effects;
 mod poses;
@@ -60,6 +62,7 @@ fn main() -> Result<()> {
         "effect-costs" => effect_costs::run(args),
         "effect-thresholds" => effect_thresholds::run(args),
         "embedded-assets" => embedded_assets::run(args),
+        "half-labels" => half_labels::run(args),
         "objects-of-rooms" => objects_of_rooms::run(args),
         "picture-effects" => picture_effects::run(args),
         "poses" => poses::run(args),
