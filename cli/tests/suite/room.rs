@@ -17,6 +17,15 @@ fn room(folder: &Folder, more: &str) -> Output {
     line(&(words.to_owned() + more).replace('@', &folder.at("")))
 }
 
+/// The command of a stage, as the receipt has it.
+fn command(folder: &Folder, stage: &str) -> String {
+    let receipt = json(folder.path("room/receipt.json"));
+    let name = format!("stage/{stage}");
+    let settings = receipt["settings"].as_array().unwrap();
+    let found = settings.iter().find(|setting| setting["name"] == *name);
+    found.unwrap()["why"].as_str().unwrap().to_owned()
+}
+
 fn results(folder: &Folder) -> [Vec<u8>; 4] {
     RESULTS.map(|name| bytes(folder.path("room").join(name)))
 }
@@ -32,8 +41,10 @@ fn a_scan_becomes_a_room_and_what_was_done_before_is_kept() {
     let first = results(&folder);
     let labels = NpyFile::open(&folder.path("room/labels.npy")).unwrap();
     assert!(labels.shape()[0] > 100);
-    let receipt = json(folder.path("room/receipt.json"));
-    assert!(receipt.to_string().contains("stage/scene"), "{receipt}");
+    // These frames have depth.
+    assert!(folder.path("room/frames/depth").is_dir());
+    has(&command(&folder, "scene"), &["optimise ", "frames/images", "--depth", "frames/depth"]);
+    assert!(!command(&folder, "objects").contains("--taught"));
 
     // Nothing is made again, and the results are the same.
     let said = told(&room(&folder, ""));
@@ -91,6 +102,9 @@ fn what_a_detector_finds_overrules_the_network() {
         &["3 of 6: taught", "Gaussians that the teacher names", "names none of the classes"],
     );
     has(&stdout(&output), &["--taught"]);
+    for stage in ["labels", "objects", "page"] {
+        has(&command(&folder, stage), &["--taught", "room/taught"]);
+    }
     // In pictures this small no superpixel fits into a box: every third Gaussian is named by hand instead.
     let texts = TextTable::read(&folder.path("room/taught/classes.safetensors"), None).unwrap();
     let chair = texts.names.iter().position(|name| name == "chair").unwrap();
@@ -136,4 +150,32 @@ fn what_a_detector_finds_overrules_the_network() {
         ],
         |words: &str| line(&words.replace("@scene.ply", &scene).replace('@', &folder.at(""))),
     );
+}
+
+#[test]
+fn a_teacher_names_the_rows_of_the_file_where_some_are_left_out() {
+    let folder = Folder::new();
+    let mut scene = crate::support::room(2000, 5);
+    scene.coord[5] = [f32::NAN; 3];
+    folder.scene("broken.ply", &scene);
+    // One row behind the broken one is named, and the broken one.
+    let texts = TextTable { names: vec!["chair".to_owned()], dim: 2, values: vec![1.0, 0.0] };
+    folder.write("taught/classes.safetensors", texts.to_safetensors().unwrap());
+    let row = |i: usize| [if i == 5 || i == 9 { f16::ONE } else { f16::ZERO }, f16::ZERO];
+    let values: Vec<f16> = (0..2000).flat_map(row).collect();
+    write_npy(&folder.path("taught/lang_feat.npy"), &[2000, 2], &values).unwrap();
+    write_npy(&folder.path("taught/confidence.npy"), &[2000], &[0.75f32; 2000]).unwrap();
+    let run = |words: &str| line(&words.replace('@', &folder.at("")));
+    done(&run("segment @broken.ply --out @plain"));
+    let said = told(&run("segment @broken.ply --taught @taught --out @named"));
+    has(&said, &["of 2 Gaussians that the teacher names"]);
+    let names = json(folder.path("named/classes.json"));
+    let chair = names.as_array().unwrap().iter().position(|name| name == "chair").unwrap() as i64;
+    let (mut want, found) =
+        (labels(folder.path("plain/labels.npy")), labels(folder.path("named/labels.npy")));
+    assert!(want.len() == 2000 && want[5] == -1 && want[9] != chair, "{:?}", &want[..12]);
+    want[9] = chair;
+    assert!(found == want, "{:?}, not {:?}", &found[..12], &want[..12]);
+    let scores = floats(folder.path("named/scores.npy"));
+    assert!(scores[9] == 0.75 && scores[5] == 0.0, "{:?}", &scores[..12]);
 }
