@@ -59,6 +59,28 @@ fn probes_leave_the_network_as_it_is_and_stand_beside_two_others() {
 }
 
 #[test]
+fn a_class_that_only_the_scored_scene_has_counts_as_missed() {
+    let (folder, model) = (Folder::new(), student().at("student/model"));
+    // Two halves of a room are two classes; of the scored one a fifth is a third.
+    let scene = |name: &str, third: i32| {
+        let mut scene = room(3000, 4);
+        let class = |row: usize| if row.is_multiple_of(5) { third } else { i32::from(row > 1500) };
+        scene.segment = Some((0..scene.len()).map(class).collect());
+        let path = folder.at(name);
+        write_npy_folder(&scene, Path::new(&path), false).unwrap();
+        path
+    };
+    let (train, test) = (scene("a", 0), scene("b", 2));
+    let file = folder.at("probe.json");
+    done(&run!(
+        "probe {model} {train} {test} --kind linear --steps 2 --no-objects --quiet --json {file}"
+    ));
+    let report = json(file);
+    let miou = report["backbone"]["miou"].as_f64().unwrap();
+    assert!((0.0..=2.0 / 3.0).contains(&miou), "one of three classes cannot be right: {miou}");
+}
+
+#[test]
 fn models_of_self_supervised_training_are_models_like_others() {
     let (folder, student) = (Folder::new(), student().at("student/model"));
     let network = masked_network().to_string();
