@@ -29,7 +29,8 @@ pub fn write_blend(
     let mut known = values(config, start)?;
     let path = trained.join("model.safetensors");
     let trained = candle_core::safetensors::load(&path, &Device::Cpu).map_err(model)?;
-    let mut blended = HashMap::with_capacity(trained.len());
+    let trained: BTreeMap<String, Tensor> = trained.into_iter().collect();
+    let mut blended = HashMap::new();
     for (name, value) in trained {
         let blend = |before: Tensor| -> candle_core::Result<Tensor> {
             let [before, after] = [before.to_dtype(DType::F64)?, value.to_dtype(DType::F64)?];

@@ -32,7 +32,7 @@ pub enum AdaptError {
     Taught(#[from] TaughtError),
     /// The training failed, or what it needs does not fit together.
     #[error(transparent)]
-    Experiment(#[from] ExperimentError),
+    Experiment(Box<ExperimentError>),
     /// A network that cannot be loaded.
     #[error(transparent)]
     Weights(#[from] NetworkError),
@@ -69,4 +69,10 @@ pub enum AdaptError {
         #[source]
         source: std::io::Error,
     },
+}
+
+impl From<ExperimentError> for AdaptError {
+    fn from(error: ExperimentError) -> Self {
+        Self::Experiment(Box::new(error))
+    }
 }
