@@ -140,7 +140,7 @@ impl Args {
                 from_surfels(&surfels, settings.initial.sh_degree)?,
                 "the measured depths: flat Gaussians".to_owned(),
             ),
-            None => self.from_first_points(session, frames, settings)?,
+            None => self.at_first_points(session, frames, settings)?,
         };
         session.progress.say(format!("{} Gaussians to begin with, from {from}", model.len()));
         session.receipt.setting("initial", model.len(), &from);
@@ -167,7 +167,7 @@ impl Args {
     }
 
     /// Gaussians at points, and where those come from.
-    fn from_first_points(
+    fn at_first_points(
         &self,
         session: &Session<'_>,
         frames: &Frames,
