@@ -478,6 +478,6 @@ mod tests {
                 read += 1;
             }
         }
-        assert_eq!(read, 80);
+        assert_eq!(read, 81);
     }
 }

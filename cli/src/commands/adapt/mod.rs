@@ -77,26 +77,45 @@ pub fn run(args: &Args, line: &str) -> Result<()> {
         ));
         return Err(Saved.into());
     }
+    let adapted =
+        after(args, &session, &lesson, (&config, &before), (&start, &trained.model), &folders);
+    if adapted.is_err() && interrupted() {
+        print("stopped after the training: the same command goes on");
+        return Err(Saved.into());
+    }
+    adapted?;
+    session.finish()
+}
+
+/// The network of the weights before and those trained, what it knows, and its files.
+fn after(
+    args: &Args,
+    session: &Session<'_>,
+    lesson: &Lesson,
+    (config, before): (&NetworkConfig, &Figures),
+    (start, trained): (&Path, &Path),
+    folders: &Folders,
+) -> Result<()> {
     let _stage = session.receipt.stage("after");
-    adaptation::write_blend(&config, &start, &trained.model, args.share, &folders)?;
+    adaptation::write_blend(config, start, trained, args.share, folders)?;
     let model = folders.model();
-    let adapted = load(&config, &Weights::File(model.clone()))?;
+    let adapted = load(config, &Weights::File(model.clone()))?;
     let weights = sha256_of(&model.join(MODEL[0]))?.0;
     let calibration = lesson.exam().calibrate(&adapted, weights, &mut shown(&session.progress))?;
     session.progress.finish();
-    let after = figures(&lesson, &adapted, Some(&calibration), &session.progress)?;
+    let after = figures(lesson, &adapted, Some(&calibration), &session.progress)?;
     drop(_stage);
     for name in MODEL {
         session.write(name, |path| std::fs::copy(model.join(name), path).map(drop))?;
     }
-    let makers = trained.model.join(ATTRIBUTION);
+    let makers = trained.join(ATTRIBUTION);
     if makers.is_file() {
         session.write(ATTRIBUTION, |path| std::fs::copy(&makers, path).map(drop))?;
     }
     session.write_text(CALIBRATION, &serde_json::to_string_pretty(&calibration)?)?;
-    report::write(&session, args, &lesson, [&before, &after])?;
-    report::tell(args, &lesson, [&before, &after], &calibration);
-    session.finish()
+    report::write(session, args, lesson, [before, &after])?;
+    report::tell(args, lesson, [before, &after], &calibration);
+    Ok(())
 }
 
 /// Flags by which other commands read the scene as the network of this folder learned it.
