@@ -391,14 +391,14 @@ fn places_other_than_homes_have_what_their_names_say() {
     // In six of each, more than one a room.
     let mut missing = Vec::new();
     for (kind, class, least) in [
-        (RoomKind::Pantry, ClassId::KitchenCabinet, 36),
-        (RoomKind::OpenOffice, ClassId::Desk, 15),
-        (RoomKind::Meeting, ClassId::Chair, 18),
-        (RoomKind::Shop, ClassId::Bookshelf, 36),
-        (RoomKind::Ward, ClassId::Bed, 12),
-        (RoomKind::Classroom, ClassId::Chair, 30),
-        (RoomKind::Workshop, ClassId::Box, 18),
-        (RoomKind::Lobby, ClassId::Chair, 18),
+        (RoomKind::Pantry, ClassId::KitchenCabinet, 18),
+        (RoomKind::OpenOffice, ClassId::Desk, 12),
+        (RoomKind::Meeting, ClassId::Chair, 12),
+        (RoomKind::Shop, ClassId::Bookshelf, 18),
+        (RoomKind::Ward, ClassId::Bed, 8),
+        (RoomKind::Classroom, ClassId::Chair, 12),
+        (RoomKind::Workshop, ClassId::Box, 12),
+        (RoomKind::Lobby, ClassId::Chair, 12),
     ] {
         let found = count(kind, class);
         if found < least {
