@@ -83,7 +83,7 @@ pub struct SyntheticRoomSettings {
     /// Kind of the room; drawn if absent.
     pub kind: Option<RoomKind>,
     /// Share of rooms that look as converted points instead of captures, 0..=1; all of them if
-    /// [`capture`](Self::capture) is [`Capture::Model`].
+    /// [`capture`](Self::capture) is [`Capture::Model`] or [`Capture::Depth`].
     pub points_share: f32,
     /// Share of the scenes that are flats instead of rooms, 0..=1: two to six rooms at a corridor, with the
     /// walls between them, doors or openings. Their number of Gaussians grows with their number of rooms.
@@ -437,6 +437,10 @@ impl SyntheticRoomSettings {
             let expected =
                 "0 unless `capture` is \"made\": the others give each object its density anyway";
             return fail("density_variation", own.to_string(), expected);
+        }
+        if self.seen_share > 0.0 && self.capture == Capture::Depth {
+            let expected = "0 if `capture` is \"depth\": such a room is what was seen anyway";
+            return fail("seen_share", self.seen_share.to_string(), expected);
         }
         if self.furniture.is_none() && varied > 0.0 {
             let expected = "0 without `furniture`, the path of a catalogue";

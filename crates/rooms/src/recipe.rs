@@ -54,24 +54,6 @@ pub enum RoomKind {
 }
 
 impl RoomKind {
-    /// All kinds.
-    pub const ALL: [Self; 14] = [
-        Self::Living,
-        Self::Bedroom,
-        Self::Office,
-        Self::Kitchen,
-        Self::Bathroom,
-        Self::Mixed,
-        Self::Pantry,
-        Self::OpenOffice,
-        Self::Meeting,
-        Self::Shop,
-        Self::Ward,
-        Self::Classroom,
-        Self::Workshop,
-        Self::Lobby,
-    ];
-
     /// Rooms of homes.
     pub const HOMES: [Self; 6] =
         [Self::Living, Self::Bedroom, Self::Office, Self::Kitchen, Self::Bathroom, Self::Mixed];
