@@ -6,7 +6,7 @@ use std::collections::HashSet;
 /// Pixels tried for each point of the result.
 const CANDIDATES: usize = 6;
 /// Factor by which cells grow until few enough are taken.
-const COARSER: f64 = 1.2;
+pub(crate) const COARSER: f64 = 1.2;
 
 /// At most `most` points on what the depths show, spread evenly in space, with their colors in 0 to 1.
 ///

@@ -75,14 +75,23 @@ pub fn from_points(
     let row =
         |i: usize| Stored { mean: points[i], log_scale: [log_scales[i]; 3], quat: quat(i), logit };
     let rows: Vec<Stored> = (0..points.len()).map(row).collect();
-    let width = 3 * (usize::from(settings.sh_degree) + 1).pow(2);
-    let mut sh = vec![0.0; width * points.len()];
+    let sh = flat_harmonics(colors.iter().copied(), settings.sh_degree);
+    Model::from_arrays(&rows, sh, settings.sh_degree)
+}
+
+/// Harmonics of that degree of colors in 0 to 1 that are the same from all sides.
+pub(crate) fn flat_harmonics(
+    colors: impl ExactSizeIterator<Item = [f32; 3]>,
+    degree: u8,
+) -> Vec<f32> {
+    let width = 3 * (usize::from(degree) + 1).pow(2);
+    let mut sh = vec![0.0; width * colors.len()];
     for (sh, color) in sh.chunks_exact_mut(width).zip(colors) {
         for (sh, c) in sh.iter_mut().zip(color) {
             *sh = (c - 0.5) / SH_C0;
         }
     }
-    Model::from_arrays(&rows, sh, settings.sh_degree)
+    sh
 }
 
 /// Positions and colors of points.

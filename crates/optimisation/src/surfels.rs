@@ -3,11 +3,10 @@
 use crate::Model;
 use crate::error::OptimiseError;
 use crate::frame::TrainingFrame;
-use crate::fused_points::lifted;
-use crate::initial::neighbour_log_scales;
+use crate::fused_points::{COARSER, lifted};
+use crate::initial::{flat_harmonics, neighbour_log_scales};
 use crate::model::{Stored, logit};
 use glam::{DVec3, Vec3};
-use scenesplat_scene::gaussian_scene::SH_C0;
 use scenesplat_scene::quaternion::quat_from_z_to;
 use std::collections::HashMap;
 
@@ -20,8 +19,6 @@ const REACH: u32 = 200;
 const STEEPEST: f32 = 10.0;
 /// Pixels that a cell needs where cells have this many on average: fewer are strays between an edge and what is behind it.
 const LEAST: [f64; 2] = [2.0, 4.0];
-/// Factor by which cells grow until few enough are taken.
-const COARSER: f64 = 1.2;
 /// Opacity of all.
 const OPACITY: f32 = 0.95;
 /// How much thinner than wide a surfel is.
@@ -175,13 +172,7 @@ pub fn from_surfels(surfels: &[Surfel], sh_degree: u8) -> Result<Model, Optimise
             logit: logit(OPACITY),
         })
         .collect();
-    let width = 3 * (usize::from(sh_degree) + 1).pow(2);
-    let mut sh = vec![0.0; width * surfels.len()];
-    for (sh, surfel) in sh.chunks_exact_mut(width).zip(surfels) {
-        for (sh, c) in sh.iter_mut().zip(surfel.color) {
-            *sh = (c - 0.5) / SH_C0;
-        }
-    }
+    let sh = flat_harmonics(surfels.iter().map(|s| s.color), sh_degree);
     Model::from_arrays(&rows, sh, sh_degree)
 }
 
@@ -190,6 +181,7 @@ mod tests {
     use super::*;
     use crate::Colors;
     use crate::frame::tests::view;
+    use scenesplat_scene::gaussian_scene::SH_C0;
 
     /// Looks along +z from z = −2, 60 × 40 pixels, at what `depth` says of column and row.
     fn frame(depth: impl Fn(usize, usize) -> f32) -> TrainingFrame {
