@@ -55,6 +55,7 @@ pub mod query;
 pub mod recognition;
 pub mod reconstruction;
 pub mod setting;
+pub mod shipped;
 pub mod taught;
 pub mod text;
 pub mod text_model;

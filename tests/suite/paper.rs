@@ -69,7 +69,7 @@ fn data() -> tempfile::TempDir {
         }
     }
     for (table, list) in TEXTS {
-        let list = configs().join("label_maps").join(format!("{list}.txt"));
+        let list = configs().join("../datasets/label_maps").join(format!("{list}.txt"));
         let names: Vec<String> =
             std::fs::read_to_string(list).unwrap().lines().map(str::to_owned).collect();
         let mut values = vec![0.0; names.len() * 768];

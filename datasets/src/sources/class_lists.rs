@@ -1,15 +1,14 @@
 //! Names of classes, and the numbers they have in the raw labels of their benchmark.
 
 /// The lists that come with the program, one name a line, also for `--class-names`.
-pub(crate) const SCANNET20: &str = include_str!("../../../configs/label_maps/scannet20.txt");
-pub(crate) const SCANNET200: &str = include_str!("../../../configs/label_maps/scannet200.txt");
-pub(crate) const SCANNETPP100: &str = include_str!("../../../configs/label_maps/scannetpp100.txt");
-pub(crate) const MATTERPORT21: &str = include_str!("../../../configs/label_maps/matterport21.txt");
-pub(crate) const MATTERPORT160: &str =
-    include_str!("../../../configs/label_maps/matterport160.txt");
-pub(crate) const NYU40: &str = include_str!("../../../configs/label_maps/nyu40.txt");
-pub(crate) const HOLICITY: &str = include_str!("../../../configs/label_maps/holicity.txt");
-pub(crate) const KITTI360: &str = include_str!("../../../configs/label_maps/kitti360.txt");
+pub(crate) const SCANNET20: &str = include_str!("../../label_maps/scannet20.txt");
+pub(crate) const SCANNET200: &str = include_str!("../../label_maps/scannet200.txt");
+pub(crate) const SCANNETPP100: &str = include_str!("../../label_maps/scannetpp100.txt");
+pub(crate) const MATTERPORT21: &str = include_str!("../../label_maps/matterport21.txt");
+pub(crate) const MATTERPORT160: &str = include_str!("../../label_maps/matterport160.txt");
+pub(crate) const NYU40: &str = include_str!("../../label_maps/nyu40.txt");
+pub(crate) const HOLICITY: &str = include_str!("../../label_maps/holicity.txt");
+pub(crate) const KITTI360: &str = include_str!("../../label_maps/kitti360.txt");
 
 /// NYU40 class of each ScanNet class (20); every other one is ignored.
 pub const SCANNET20_NYU40_IDS: [i32; 20] =

@@ -1,16 +1,17 @@
 //! What each effect of a capture costs the labels of the network inside the program, by severity.
 
-use crate::Arguments;
 use anyhow::Result;
+use scenesplat::Weights;
 use scenesplat::effect_costs::EffectCosts;
-use scenesplat::embedded;
 use scenesplat_lab::severity::{CurveSettings, severity_curves};
 use std::path::Path;
 
-pub fn run(mut args: Arguments) -> Result<()> {
+/// Measures the network in `assets`, whose SHA-256 is `hash`.
+pub fn write(assets: &Path, hash: String) -> Result<()> {
     let settings = CurveSettings {
-        rooms: args.or(12)?,
-        gaussians: args.or(40_000)?,
+        rooms: 8,
+        gaussians: 30_000,
+        weights: Weights::File(assets.to_path_buf()),
         ..CurveSettings::default()
     };
     let report = severity_curves(&settings, &mut |step, share| {
@@ -24,14 +25,13 @@ pub fn run(mut args: Arguments) -> Result<()> {
         .map(|curve| (curve.effect.clone(), curve.points.iter().map(|p| p.f_miou).collect()))
         .collect();
     let costs = EffectCosts {
-        weights: embedded::sha256(),
+        weights: hash,
         rooms: report.rooms,
         gaussians: report.gaussians,
         severities: settings.severities,
         f_miou,
     };
-    let path =
-        Path::new(env!("CARGO_MANIFEST_DIR")).join("../../assets/embedded/effect_costs.json");
+    let path = assets.join("effect_costs.json");
     std::fs::write(&path, serde_json::to_string_pretty(&costs)? + "\n")?;
     println!("wrote {}", path.display());
     Ok(())

@@ -1,5 +1,5 @@
 //! Makes the files of the network inside the program from trained runs (of several: from the mean of their weights), and fits where the features of rooms lie, at
-//! which temperature cosines are probabilities, how much surface things have, and what tells rooms from other scenes. The catalogue of furniture is
+//! which temperature cosines are probabilities, how much surface things have, what tells rooms from other scenes, and what effects of a capture cost. The catalogue of furniture is
 //! that of `SCENESPLAT_FURNITURE`.
 
 use crate::Arguments;
@@ -79,7 +79,8 @@ pub fn run(args: Arguments) -> anyhow::Result<()> {
     calibrate(&network, hash.clone(), &assets)?;
     let reader = Reader::of(network)?;
     crate::yardsticks::write(&reader, hash.clone(), &assets)?;
-    crate::recognition::write(&reader, hash, &assets)
+    crate::recognition::write(&reader, hash.clone(), &assets)?;
+    crate::effect_costs::write(&assets, hash)
 }
 
 /// Weights of one network, or the mean of those of several with the same names and shapes; counters are the first one's.
@@ -229,14 +230,14 @@ fn least_surfaces(furniture: Option<&Furniture>) -> anyhow::Result<BTreeMap<Stri
     Ok(out)
 }
 
-/// Rooms and flats, as made, as scans and as points of models.
+/// Rooms, flats and other places, as made, as scans, as points of models and as depth cameras leave them.
 fn each_room(
     network: &Network,
     seed: u64,
     furniture: Option<&Furniture>,
     mut of: impl FnMut(&GaussianScene, &SceneFeatures) -> anyhow::Result<()>,
 ) -> anyhow::Result<()> {
-    for capture in [Capture::Made, Capture::Scan, Capture::Model] {
+    for capture in [Capture::Made, Capture::Scan, Capture::Model, Capture::Depth] {
         for room in 0..ROOMS {
             let scene = generate(&settings_of(seed, room, capture, furniture))?.scene;
             of(&scene, &SceneEncoder::new(network).encode(&scene, &mut |_| Ok(()))?)?;
@@ -257,6 +258,7 @@ fn settings_of(
         capture,
         seen_share: if capture == Capture::Scan { 0.5 } else { 0.0 },
         flat_share: 0.3,
+        public_share: 0.3,
         ..SyntheticRoomSettings::default()
     };
     let Some((path, split)) = furniture else { return settings };

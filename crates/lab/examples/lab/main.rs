@@ -4,17 +4,16 @@
 //!
 //! | name | arguments, with what is taken where they are left out |
 //! |---|---|
-//! | `effect-costs` | rooms (12), Gaussians of each (40,000); writes `assets/embedded/effect_costs.json` |
 //! | `effect-thresholds` | folder, first seed, rooms, effects (all) |
-//! | `embedded-assets` | folders of models, whose mean is taken; `SCENESPLAT_FURNITURE` |
+//! | `embedded-assets` | folders of models, whose mean is taken: makes all of `assets/embedded`; `SCENESPLAT_FURNITURE` |
 //! | `half-labels` | folder, a scene (a file, or `synthetic:SEED:ROOM`, `scanned:` or `furnished:`), seed (0) |
 //! | `objects-of-rooms` | rooms (20), seed (2026) |
 //! | `picture-effects` | first room (200), rooms (8) |
 //! | `poses` | poses of each scene, `own` or `any` unit, scenes (files, `synthetic:SEED` or `furnished:SEED`) |
-//! | `recognition` | `fit`, or scenes: `+FILE` for a room, `-FILE` for what is none, `@N` for N parts of it |
+//! | `recognition` | scenes: `+FILE` for a room, `-FILE` for what is none, `@N` for N parts of it |
 //! | `room-edits` | rooms, seed, folder of a model (embedded), part of the names of lines (all) |
 //! | `self-supervised-terms` | experiment, steps (5), sums of terms (all) |
-//! | `yardsticks` | `fit` or `check` |
+//! | `yardsticks` | none |
 
 mod effect_costs;
 mod effect_thresholds;
@@ -59,7 +58,6 @@ fn main() -> Result<()> {
     let mut args = Arguments(std::env::args().skip(1));
     let name = args.word().context("which measurement? See the head of this program.")?;
     match name.as_str() {
-        "effect-costs" => effect_costs::run(args),
         "effect-thresholds" => effect_thresholds::run(args),
         "embedded-assets" => embedded_assets::run(args),
         "half-labels" => half_labels::run(args),
@@ -69,7 +67,7 @@ fn main() -> Result<()> {
         "recognition" => recognition::run(args),
         "room-edits" => room_edits::run(args),
         "self-supervised-terms" => self_supervised_terms::run(args),
-        "yardsticks" => yardsticks::run(args),
+        "yardsticks" => yardsticks::run(),
         _ => bail!("there is no measurement {name:?}"),
     }
 }

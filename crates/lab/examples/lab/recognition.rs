@@ -1,12 +1,10 @@
-//! What of a scene the network inside the program knows: `lab recognition fit` makes
-//! `assets/embedded/recognition.json`, `lab recognition SCENES...` reports what is known of files. A name that begins
+//! What of a scene the network inside the program knows: `lab recognition SCENES...` reports what is known of files. A name that begins
 //! with `+` is a room, or part of one, with `-` is none; of these the area under the ROC curve is printed. With `@N`
 //! behind it, N balls of it are read as well, in four densities.
 
 use crate::Arguments;
 use anyhow::{Context, bail};
 use scenesplat::AlignmentSettings;
-use scenesplat::calibration::Calibration;
 use scenesplat::input::open_input;
 use scenesplat::kernels::random::{sample_rng, unit};
 use scenesplat::recognition::{KNOWN, Recognition, SURE};
@@ -23,10 +21,6 @@ const SEEDS: [u64; 2] = [6101, 6102];
 pub fn run(args: Arguments) -> anyhow::Result<()> {
     let words: Vec<String> = args.0.collect();
     let reader = Reader::embedded()?;
-    if words == ["fit"] {
-        let assets = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../assets/embedded");
-        return write(&reader, Calibration::embedded()?.weights, &assets);
-    }
     let file = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../assets/embedded/recognition.json");
     let known: Recognition = serde_json::from_str(&std::fs::read_to_string(file)?)?;
     let (mut rooms, mut others) = (Vec::new(), Vec::new());

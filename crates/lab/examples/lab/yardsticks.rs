@@ -1,9 +1,6 @@
-//! How large a scene is by what is in it: `lab yardsticks fit` makes `assets/embedded/yardsticks.json`, `lab yardsticks
-//! check` compares it with rooms that it was not fitted to.
+//! How large a scene is by what is in it: `lab yardsticks` compares `assets/embedded/yardsticks.json` with rooms that it was
+//! not fitted to.
 
-use crate::Arguments;
-use anyhow::bail;
-use scenesplat::calibration::Calibration;
 use scenesplat::embedded;
 use scenesplat::yardsticks::Yardsticks;
 use scenesplat_lab::reader::Reader;
@@ -13,16 +10,6 @@ use std::path::Path;
 /// Seeds of the rooms that they are fitted to, and of others.
 const SEED: u64 = 6201;
 const CHECKED: u64 = 6202;
-
-pub fn run(mut args: Arguments) -> anyhow::Result<()> {
-    let reader = Reader::embedded()?;
-    let assets = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../assets/embedded");
-    match args.word().as_deref() {
-        Some("fit") => write(&reader, Calibration::embedded()?.weights, &assets),
-        Some("check") => check(&reader),
-        _ => bail!("fit, or check?"),
-    }
-}
 
 /// Fits to made rooms. `weights`: SHA-256 of the network's.
 pub fn write(reader: &Reader, weights: String, assets: &Path) -> anyhow::Result<()> {
@@ -34,7 +21,9 @@ pub fn write(reader: &Reader, weights: String, assets: &Path) -> anyhow::Result<
     Ok(())
 }
 
-fn check(reader: &Reader) -> anyhow::Result<()> {
+/// How far off the units of other rooms are.
+pub fn run() -> anyhow::Result<()> {
+    let reader = &Reader::embedded()?;
     let texts = embedded::vocabulary()?.class_table();
     let known = Yardsticks::embedded()?;
     let (mut off, mut none) = (Vec::new(), 0);

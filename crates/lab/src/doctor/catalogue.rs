@@ -24,7 +24,8 @@ pub fn nearest_names(name: &str) -> Vec<String> {
 mod tests {
     use super::*;
     use crate::doctor::Level;
-    use crate::doctor::table::{DOCUMENTATION, rows};
+    use crate::doctor::table::rows;
+    use scenesplat::shipped::HARD_CASES;
 
     /// Each row has a check and each check a row, in one order.
     #[test]
@@ -42,8 +43,8 @@ mod tests {
             let said = format!(
                 "## Level {number}: {level}\n\n{all} cases, {quick} of them in the quick subset"
             );
-            assert!(DOCUMENTATION.contains(&said), "{said}");
+            assert!(HARD_CASES.contains(&said), "{said}");
         }
-        assert!(DOCUMENTATION.contains(&format!("with {} cases", due.len())));
+        assert!(HARD_CASES.contains(&format!("with {} cases", due.len())));
     }
 }

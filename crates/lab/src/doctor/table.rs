@@ -2,10 +2,9 @@
 
 use super::case::{Case, Finding, Level, Policy};
 use super::trial::{Failure, Trial};
+use scenesplat::shipped::HARD_CASES;
 use std::collections::HashMap;
 use std::sync::LazyLock;
-
-pub(super) const DOCUMENTATION: &str = include_str!("../../../../docs/hard_cases.md");
 
 /// A case of the tables, with its check. What has no row has no area, origin and reason, which a test looks for.
 pub(super) fn case<T: Into<Finding>>(
@@ -36,7 +35,7 @@ pub(super) struct Row {
 
 /// The rows of the tables with their names.
 pub(super) fn rows() -> impl Iterator<Item = (&'static str, Row)> {
-    let (_, tables) = DOCUMENTATION.split_once("## Level 1").unwrap_or_default();
+    let (_, tables) = HARD_CASES.split_once("## Level 1").unwrap_or_default();
     Level::ALL
         .into_iter()
         .zip(tables.split("## Level "))

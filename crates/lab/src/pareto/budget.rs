@@ -150,7 +150,7 @@ impl Calibration {
     /// # Errors
     /// If the program was built with a broken file.
     pub fn shipped() -> Result<Self, ParetoError> {
-        Ok(serde_json::from_str(include_str!("../../../../assets/pareto/embedded.json"))?)
+        Ok(serde_json::from_str(scenesplat::shipped::PARETO_FRONT)?)
     }
 
     /// The best setting that keeps what is asked for: of those that fit, the one of the highest

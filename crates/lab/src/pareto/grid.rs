@@ -2,6 +2,7 @@
 
 use super::ParetoError;
 use scenesplat::setting::Setting;
+use scenesplat::shipped::PARETO_GRID;
 use serde::Deserialize;
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
@@ -114,8 +115,8 @@ impl Grid {
     /// # Errors
     /// If the program was built with a broken file.
     pub fn default_grid() -> Result<Self, ParetoError> {
-        let text = include_str!("../../../../configs/pareto/default.toml");
-        Self::parse(text, "configs/pareto/default.toml")
+        let [text, place] = PARETO_GRID;
+        Self::parse(text, place)
     }
 
     /// What a machine is calibrated with: settings of a network whose voxels are `voxel` meters, from

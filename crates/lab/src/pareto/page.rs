@@ -5,12 +5,9 @@ use super::point::{Point, points};
 use super::record::{Kind, Record, Stage};
 use super::summary::Summary;
 use scenesplat::page_kit::{Block, Document, REPORT_STYLE, Rights};
+use scenesplat::shipped::{PARETO_BODY, PARETO_SCRIPT};
 use serde::Serialize;
 use std::collections::BTreeMap;
-
-const BODY: &str = include_str!("../../../../page/src/reports/pareto.html");
-/// The bundle; made by `npm run build` in the folder `page`.
-const SCRIPT: &str = include_str!("../../../../page/dist/pareto.js");
 
 /// What the page's script reads.
 #[derive(Serialize)]
@@ -68,9 +65,9 @@ pub fn page(summary: &Summary, records: &[Record]) -> Result<String, ParetoError
         title: "What accuracy costs",
         class: "",
         style: REPORT_STYLE,
-        body: BODY,
+        body: PARETO_BODY,
         blocks: &[Block::json("data", &data)?],
-        script: SCRIPT,
+        script: PARETO_SCRIPT,
         rights: Rights::None,
     };
     Ok(document.html())

@@ -36,9 +36,8 @@ pub(super) struct Bench {
 }
 
 impl Bench {
-    pub(super) fn new() -> Result<Self, SeverityError> {
-        let network =
-            Network::load(embedded::config()?, &Weights::Embedded, WeightOptions::default())?;
+    pub(super) fn new(weights: &Weights) -> Result<Self, SeverityError> {
+        let network = Network::load(embedded::config()?, weights, WeightOptions::default())?;
         let texts = embedded::vocabulary()?.class_table();
         let excluded = background(&LabelSet::new(texts.names.clone())?);
         Ok(Self { network, texts, excluded, threshold: 0.0 })

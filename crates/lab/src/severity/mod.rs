@@ -18,6 +18,7 @@ pub use report::{Check, ConfidenceRow, EffectCurve, SeverityPoint, SeverityRepor
 
 use crate::pareto::ParetoError;
 use measure::{Bench, Damaged, Labelled};
+use scenesplat::Weights;
 use scenesplat::inference::EncodeError;
 use scenesplat::labels::LabelError;
 use scenesplat::network::NetworkError;
@@ -43,6 +44,8 @@ pub struct CurveSettings {
     pub room_seed: u64,
     /// Seed of the damage.
     pub seed: u64,
+    /// Weights of the network inside the program, or of one that is to take its place.
+    pub weights: Weights,
 }
 
 impl Default for CurveSettings {
@@ -54,6 +57,7 @@ impl Default for CurveSettings {
             gaussians: 20_000,
             room_seed: 4711,
             seed: 1,
+            weights: Weights::Embedded,
         }
     }
 }
@@ -117,7 +121,7 @@ impl From<ParetoError> for SeverityError {
     }
 }
 
-/// Runs the network inside the program over rooms with each effect at each severity, and once more with
+/// Runs a network over rooms with each effect at each severity, and once more with
 /// the damage in one corner only.
 ///
 /// `go_on` gets the step under way and the share that is done; returning false cancels.
@@ -141,7 +145,7 @@ pub fn severity_curves(
         done += 1.0;
         if going { Ok(()) } else { Err(SeverityError::Stopped) }
     };
-    let mut bench = Bench::new()?;
+    let mut bench = Bench::new(&settings.weights)?;
     let (mut clean, mut anchored) = (Vec::new(), Vec::new());
     for room in &rooms {
         step("undamaged rooms")?;

@@ -156,8 +156,7 @@ fn the_schema_has_what_the_program_takes() {
         let table: toml::Table = text.parse().unwrap();
         scenesplat_test_support::schema_problems(&schema, &serde_json::to_value(table).unwrap())
     };
-    let default = include_str!("../../../../../configs/pareto/default.toml");
-    assert_eq!(fits(default), [""; 0]);
+    assert_eq!(fits(scenesplat::shipped::PARETO_GRID[0]), [""; 0]);
     assert_eq!(fits("point = []").len(), 2, "reference is missing, and point is unknown");
     // As many fields as the program offers, top level and neutral.
     for (pointer, text) in [
