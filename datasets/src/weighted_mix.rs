@@ -56,7 +56,7 @@ impl WeightedMix {
             sum.checked_add(loader.batches_per_epoch().checked_mul(*weight)?)
         });
         // A plan holds eight bytes a batch.
-        let ok = batches.is_some_and(|n| n <= 1 << 32);
+        let ok = batches.is_some_and(|n| n as u64 <= 1 << 32);
         require(ok, "weights", named, "fewer batches an epoch")?;
         Ok(Self { loaders, weights, rule })
     }

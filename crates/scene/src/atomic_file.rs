@@ -4,8 +4,8 @@
 //! together, [`WholeFolder`](crate::WholeFolder) is a folder with all that is in it. Whoever looks at the place sees the old content or the new, never a part of it, and a
 //! write that fails changes nothing.
 
+use crate::disk::{self, File};
 use std::ffi::OsString;
-use std::fs::{File, OpenOptions};
 use std::hash::{BuildHasher, RandomState};
 use std::io::{ErrorKind, Seek, SeekFrom, Write};
 use std::path::{Path, PathBuf};
@@ -113,9 +113,8 @@ impl AtomicFile {
         check_replaceable(target)?;
         let place = follow_links(target)?;
         let (file, temporary) =
-            make_beside(&place, "cannot create a file in this folder", |path| {
-                OpenOptions::new().read(true).write(true).create_new(true).open(path)
-            })?;
+            make_beside(&place, "cannot create a file in this folder", disk::create_new)?;
+        #[cfg(not(target_family = "wasm"))]
         if let Ok(old) = std::fs::metadata(&place) {
             // Not every file system has permissions, and whoever may replace may also read.
             let _ = file.set_permissions(old.permissions());
@@ -181,7 +180,7 @@ impl AtomicFile {
 
     fn put_in_place(&mut self) -> Result<(), WriteError> {
         check_replaceable(&self.target)?;
-        std::fs::rename(&self.temporary, &self.place)
+        disk::rename(&self.temporary, &self.place)
             .map_err(WriteError::io(&self.target, "cannot put the finished file in place"))?;
         self.temporary = PathBuf::new();
         Ok(())
@@ -210,7 +209,7 @@ impl Drop for AtomicFile {
     fn drop(&mut self) {
         if !self.temporary.as_os_str().is_empty() {
             // Nothing better can be done here: the error that led here is already on its way.
-            let _ = std::fs::remove_file(&self.temporary);
+            let _ = disk::remove(&self.temporary);
         }
     }
 }
@@ -264,7 +263,7 @@ pub(crate) fn make_beside<T>(
     let mut tries = 0;
     loop {
         // Keys of the standard hasher are random numbers of the system.
-        let token = RandomState::new().hash_one(std::process::id());
+        let token = RandomState::new().hash_one(tries);
         let mut hidden = OsString::from(".");
         hidden.push(beginning(name));
         hidden.push(format!(".{token:016x}.part"));
@@ -283,7 +282,7 @@ pub(crate) fn make_beside<T>(
 
 /// Writes a new file of these bytes, and has the system put them on the disk.
 pub(crate) fn write_new(path: &Path, bytes: &[u8]) -> std::io::Result<()> {
-    let mut file = File::create_new(path)?;
+    let mut file = disk::create_new(path)?;
     file.write_all(bytes)?;
     file.sync_all()
 }

@@ -175,13 +175,23 @@ impl InputFile {
     /// What was written to an [`AtomicFile`] so far; to be dropped before it is committed.
     pub(crate) fn of_written(written: &AtomicFile) -> Result<Self, SceneError> {
         let target = written.target();
-        let file = written.file().try_clone();
-        Self::map(file.map_err(SceneError::io(target, "cannot read the file"))?, target)
+        #[cfg(target_family = "wasm")]
+        return Ok(Self::owned(written.file().bytes(), target));
+        #[cfg(not(target_family = "wasm"))]
+        {
+            let file = written.file().try_clone();
+            Self::map(file.map_err(SceneError::io(target, "cannot read the file"))?, target)
+        }
     }
 
     /// A copy of bytes that stand for a file.
     pub(crate) fn from_bytes(bytes: &[u8], path: &Path) -> Self {
-        Self { path: path.to_owned(), content: Content::Owned(bytes.to_vec()) }
+        Self::owned(bytes.to_vec(), path)
+    }
+
+    /// Bytes that stand for a file.
+    pub(crate) fn owned(bytes: Vec<u8>, path: &Path) -> Self {
+        Self { path: path.to_owned(), content: Content::Owned(bytes) }
     }
 
     /// All bytes of the file.

@@ -7,11 +7,13 @@
 //!
 //! Not for: rendering, training, searching for neighbors.
 
+mod asset;
 pub mod atomic_file;
 pub mod bounds;
 pub mod camera;
 pub mod class_map;
 mod class_names;
+mod disk;
 pub mod edit;
 pub mod error;
 pub mod extra_columns;
@@ -41,6 +43,7 @@ pub mod value_policy;
 pub mod vector;
 pub mod whole_folder;
 
+pub use asset::Asset;
 pub use atomic_file::{AtomicFile, WriteError};
 pub use bounds::{Bounds, raw_bounds, robust_bounds};
 pub use camera::{Camera, Distortion};
@@ -52,7 +55,7 @@ pub use folder_lock::FolderLock;
 pub use formats::cameras::{CameraKind, CameraSet, SparsePoints, open_cameras};
 pub use formats::{
     LoadedScene, ReadOptions, SceneFormat, SpzFrame, WriteOptions, WriteReport, open_scene,
-    open_scene_bytes, write_scene,
+    open_scene_bytes, open_scene_owned, write_scene,
 };
 pub use frame::Frame;
 pub use gaussian_scene::{GaussianScene, LabelledPoints, LanguageFeatures};

@@ -278,6 +278,19 @@ pub(crate) unsafe fn panel<P: TileProducts>(
     // SAFETY: the caller's promise, passed on; columns stay below `width`.
     unsafe {
         let mut done = 0;
+        if P::Value::LANES == 4 {
+            // Two registers are half of 16 columns, of which the second half need not exist.
+            while done < extent.columns.min(extent.width) {
+                let mut cs = *c;
+                for p in cs.iter_mut().take(rows) {
+                    *p = p.add(done);
+                }
+                let extent = Extent { columns: extent.columns - done, ..extent };
+                tile_rows::<P, 2>(rows, sides, done, b.add(done), &cs, extent);
+                done += 8;
+            }
+            return;
+        }
         while done < extent.width {
             let quad = quads.min((extent.width - done) / 16);
             let mut cs = *c;

@@ -164,7 +164,7 @@ unsafe fn outer_products<V: Vector>(
                     let c = out.as_mut_ptr().add(o * n + column);
                     let (a_at, b_at) = (first + o, column);
                     let left = (n - column) / 16;
-                    let wide = if V::LANES == 8 { 1 } else { left.min(4) };
+                    let wide = if V::LANES < 16 { 1 } else { left.min(4) };
                     macro_rules! tile {
                         ($nv:literal) => {
                             match height {
@@ -178,6 +178,7 @@ unsafe fn outer_products<V: Vector>(
                         };
                     }
                     match wide {
+                        _ if V::LANES == 4 => tile!(4),
                         _ if V::LANES == 8 => tile!(2),
                         4 => tile!(4),
                         3 => tile!(3),

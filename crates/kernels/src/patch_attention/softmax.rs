@@ -65,6 +65,15 @@ unsafe fn power_of_fraction<V: Vector>(x: V) -> V {
 
 impl SoftmaxVector for Plain {}
 
+#[cfg(all(target_arch = "wasm32", target_feature = "simd128"))]
+impl SoftmaxVector for std::arch::wasm32::v128 {
+    #[inline(always)]
+    unsafe fn all_at_most(self, bound: f32) -> bool {
+        use std::arch::wasm32::{f32x4_le, f32x4_splat, i32x4_all_true};
+        i32x4_all_true(f32x4_le(self, f32x4_splat(bound)))
+    }
+}
+
 #[cfg(target_arch = "x86_64")]
 mod x86 {
     use super::{SoftmaxVector, power_of_fraction};
@@ -124,6 +133,15 @@ macro_rules! dispatch_softmax {
             // SAFETY: as above.
             unsafe { $body }
         }
+        #[cfg(all(target_arch = "wasm32", target_feature = "simd128"))]
+        unsafe fn simd128($($arg: $t),*) {
+            type $V = std::arch::wasm32::v128;
+            const $MR: usize = 6;
+            const $NV: usize = 2;
+            // SAFETY: as above.
+            unsafe { $body }
+        }
+        #[cfg(not(all(target_arch = "wasm32", target_feature = "simd128")))]
         unsafe fn portable($($arg: $t),*) {
             type $V = $crate::simd::Plain;
             const $MR: usize = 2;
@@ -140,8 +158,12 @@ macro_rules! dispatch_softmax {
             #[cfg(target_arch = "x86_64")]
             // SAFETY: the feature was detected; a CPU with AVX-512 has AVX2.
             isa if isa >= $crate::simd::Isa::Avx2 => unsafe { avx2($($arg),*) },
+            #[cfg(not(all(target_arch = "wasm32", target_feature = "simd128")))]
             // SAFETY: plain Rust.
             _ => unsafe { portable($($arg),*) },
+            #[cfg(all(target_arch = "wasm32", target_feature = "simd128"))]
+            // SAFETY: the program was compiled for it, and would not have started without.
+            _ => unsafe { simd128($($arg),*) },
         }
     }};
 }

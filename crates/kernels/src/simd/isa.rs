@@ -7,6 +7,9 @@ use std::sync::OnceLock;
 pub enum Isa {
     /// Plain Rust, any CPU.
     Portable,
+    /// WebAssembly with registers of 128 bits; the same bits as plain Rust, for nothing is fused.
+    #[cfg(target_arch = "wasm32")]
+    Simd128,
     /// AVX2 with FMA.
     Avx2,
     /// AVX-512F.
@@ -19,8 +22,12 @@ pub enum Isa {
 
 impl Isa {
     /// All of them, slowest first.
+    #[cfg(not(target_arch = "wasm32"))]
     pub const ALL: [Self; 5] =
         [Self::Portable, Self::Avx2, Self::Avx512, Self::Avx512Bf16, Self::Amx];
+    /// All of them, slowest first.
+    #[cfg(target_arch = "wasm32")]
+    pub const ALL: [Self; 2] = [Self::Portable, Self::Simd128];
 
     /// The instruction set in use: the best that the CPU has, or a lower one named by the
     /// environment variable `SCENESPLAT_ISA` (`portable`, `avx2`, `avx512`, `avx512bf16`, `amx`;
@@ -56,7 +63,16 @@ impl Isa {
         }
     }
 
-    #[cfg(not(target_arch = "x86_64"))]
+    /// A program of a browser is compiled for one set, and does not start without it.
+    #[cfg(all(target_arch = "wasm32", target_feature = "simd128"))]
+    fn best() -> Self {
+        Self::Simd128
+    }
+
+    #[cfg(not(any(
+        target_arch = "x86_64",
+        all(target_arch = "wasm32", target_feature = "simd128")
+    )))]
     fn best() -> Self {
         Self::Portable
     }
@@ -65,6 +81,8 @@ impl Isa {
     pub fn name(self) -> &'static str {
         match self {
             Self::Portable => "portable",
+            #[cfg(target_arch = "wasm32")]
+            Self::Simd128 => "simd128",
             Self::Avx2 => "avx2",
             Self::Avx512 => "avx512",
             Self::Avx512Bf16 => "avx512bf16",

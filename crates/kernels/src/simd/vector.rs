@@ -223,6 +223,79 @@ pub(crate) mod x86 {
     }
 }
 
+#[cfg(all(target_arch = "wasm32", target_feature = "simd128"))]
+mod wasm {
+    use super::Vector;
+    use std::arch::wasm32::*;
+
+    /// Each method is one instruction that every instance of this program has, so that its contract is about pointers alone.
+    macro_rules! methods {
+        ($($name:ident($me:ident $(, $arg:ident)*) = $e:expr;)*) => {$(
+            #[inline(always)]
+            unsafe fn $name($me $(, $arg: Self)*) -> Self {
+                $e
+            }
+        )*};
+    }
+
+    impl Vector for v128 {
+        const LANES: usize = 4;
+        #[inline(always)]
+        unsafe fn zero() -> Self {
+            f32x4_splat(0.0)
+        }
+        #[inline(always)]
+        unsafe fn splat(x: f32) -> Self {
+            f32x4_splat(x)
+        }
+        #[inline(always)]
+        unsafe fn load(p: *const f32) -> Self {
+            // SAFETY: the caller vouches for 4 readable values.
+            unsafe { v128_load(p.cast()) }
+        }
+        #[inline(always)]
+        unsafe fn store(self, p: *mut f32) {
+            // SAFETY: the caller vouches for 4 writable values.
+            unsafe { v128_store(p.cast(), self) }
+        }
+        #[inline(always)]
+        unsafe fn load_first(p: *const f32, n: usize) -> Self {
+            let mut out = [0f32; 4];
+            for (i, o) in out.iter_mut().enumerate().take(n) {
+                // SAFETY: the caller vouches for `n` readable values.
+                *o = unsafe { p.add(i).read() };
+            }
+            f32x4(out[0], out[1], out[2], out[3])
+        }
+        #[inline(always)]
+        unsafe fn store_first(self, p: *mut f32, n: usize) {
+            let mut values = [0f32; 4];
+            // SAFETY: there are 4 of them.
+            unsafe { self.store(values.as_mut_ptr()) };
+            for (i, v) in values.into_iter().enumerate().take(n) {
+                // SAFETY: the caller vouches for `n` writable values.
+                unsafe { p.add(i).write(v) };
+            }
+        }
+        methods! {
+            add(self, o) = f32x4_add(self, o);
+            sub(self, o) = f32x4_sub(self, o);
+            mul(self, o) = f32x4_mul(self, o);
+            div(self, o) = f32x4_div(self, o);
+            // In this order NaN gives the second operand, as everywhere.
+            max(self, o) = f32x4_pmax(o, self);
+            min(self, o) = f32x4_pmin(o, self);
+            fma(self, a, b) = f32x4_add(f32x4_mul(self, a), b);
+            scale_by_power(self, n) = f32x4_mul(
+                self,
+                i32x4_shl(i32x4_add(i32x4_trunc_sat_f32x4(n), i32x4_splat(127)), 23),
+            );
+            round(self) = f32x4_nearest(self);
+            select_gt(self, bound, yes, no) = v128_bitselect(yes, no, f32x4_gt(self, bound));
+        }
+    }
+}
+
 /// Runs `$body` (generic over the register type bound to `$V`) with the current instruction set.
 ///
 /// `$body` must be a call of an `#[inline(always)]` unsafe function.
@@ -242,6 +315,13 @@ macro_rules! dispatch {
             // SAFETY: as above.
             unsafe { $body }
         }
+        #[cfg(all(target_arch = "wasm32", target_feature = "simd128"))]
+        unsafe fn simd128($($arg: $t),*) $(-> $out)? {
+            type $V = std::arch::wasm32::v128;
+            // SAFETY: as above.
+            unsafe { $body }
+        }
+        #[cfg(not(all(target_arch = "wasm32", target_feature = "simd128")))]
         unsafe fn portable($($arg: $t),*) $(-> $out)? {
             type $V = $crate::simd::Plain;
             // SAFETY: as above.
@@ -254,8 +334,12 @@ macro_rules! dispatch {
             #[cfg(target_arch = "x86_64")]
             // SAFETY: the feature was detected.
             $crate::simd::Isa::Avx2 => unsafe { avx2($($arg),*) },
+            #[cfg(not(all(target_arch = "wasm32", target_feature = "simd128")))]
             // SAFETY: plain Rust.
             _ => unsafe { portable($($arg),*) },
+            #[cfg(all(target_arch = "wasm32", target_feature = "simd128"))]
+            // SAFETY: the program was compiled for it, and would not have started without.
+            _ => unsafe { simd128($($arg),*) },
         }
     }};
 }

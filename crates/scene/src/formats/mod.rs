@@ -6,7 +6,6 @@ pub mod cameras;
 mod color_columns;
 pub mod compressed_ply;
 pub mod depth_map;
-pub(crate) mod files;
 pub mod gltf;
 pub mod inria_ply;
 mod json_text;
@@ -38,9 +37,11 @@ pub(crate) use packed_values::unit_f64;
 
 use ply::Remarks;
 
-pub use open::{open_scene, open_scene_bytes};
+pub use open::{open_scene, open_scene_bytes, open_scene_owned};
 pub(crate) use table::Writer;
 pub use table::{FORMATS, FormatRow, SceneFormat};
+#[cfg(target_family = "wasm")]
+pub use write::written_scene;
 pub use write::{PrecisionLimit, WriteOptions, WriteProgress, WriteReport, write_scene};
 
 use crate::extra_columns::UnreadColumn;

@@ -1,6 +1,6 @@
 //! Writing `.npy` arrays, at once or row by row.
 
-use super::files::write_all_at;
+use crate::disk::write_all_at;
 use crate::extra_columns::NumberType;
 use crate::{AtomicFile, SceneError};
 use half::f16;

@@ -4,6 +4,9 @@ use super::limit_tally::{LimitTally, Limits};
 use super::packed_values::check_storable;
 use super::semantics::Sidecar;
 use super::{SceneFormat, SpzFrame, Writer};
+use crate::disk;
+#[cfg(target_family = "wasm")]
+use crate::disk::take;
 use crate::place::origin_text;
 use crate::{AtomicFile, GaussianScene, SceneError, Up};
 use serde::Serialize;
@@ -84,9 +87,7 @@ impl WriteReport {
 
     /// Notes a file that was written.
     pub(crate) fn wrote(&mut self, path: &Path) -> Result<(), SceneError> {
-        let about =
-            std::fs::metadata(path).map_err(SceneError::io(path, "cannot read its size"))?;
-        self.bytes += about.len();
+        self.bytes += disk::length(path).map_err(SceneError::io(path, "cannot read its size"))?;
         self.files.push(path.to_owned());
         Ok(())
     }
@@ -235,6 +236,24 @@ pub fn write_scene(
     note_unsaid(scene, options, &mut report);
     progress(1.0);
     Ok(report)
+}
+
+/// As [`write_scene`], and gives the bytes of the file; for formats that are one file.
+///
+/// # Errors
+/// As [`write_scene`].
+#[cfg(target_family = "wasm")]
+pub fn written_scene(
+    scene: &GaussianScene,
+    format: SceneFormat,
+    options: &WriteOptions,
+    progress: WriteProgress<'_>,
+) -> Result<Vec<u8>, SceneError> {
+    let path = Path::new("scene").with_extension(format.name());
+    // What was not taken is of a run that ended before.
+    let _ = take(&path);
+    write_scene(scene, &path, format, options, progress)?;
+    take(&path).ok_or_else(|| SceneError::format(&path, "was written as several files", ""))
 }
 
 /// Notes that the positions in the file are not those of a scene with an origin.

@@ -3,6 +3,7 @@
 mod attention;
 mod config;
 mod layer;
+#[cfg_attr(target_family = "wasm", path = "no_tokens.rs")]
 mod tokens;
 mod weights;
 

@@ -17,8 +17,11 @@ pub use words::normalized;
 
 /// The phrases of the table inside the library, one a line, sorted by bytes, as [`normalized`] gives them.
 const PHRASES: &str = include_str!("../../assets/phrases.txt");
-/// Their vectors.
+/// Their vectors; a browser's library comes without them.
+#[cfg(not(target_family = "wasm"))]
 const VECTORS: &[u8] = include_bytes!("../../assets/phrases.safetensors");
+#[cfg(target_family = "wasm")]
+const VECTORS: &[u8] = &[];
 
 /// Numbers that are kept of a vector.
 pub(crate) const KEPT: usize = 96;
@@ -60,6 +63,11 @@ impl PhraseTable {
     /// Bytes of the table inside the library.
     pub fn embedded_bytes() -> usize {
         PHRASES.len() + VECTORS.len()
+    }
+
+    /// The phrases of the table inside the library, one a line, sorted.
+    pub fn embedded_phrases() -> &'static str {
+        PHRASES.trim_end()
     }
 
     /// Number of phrases.

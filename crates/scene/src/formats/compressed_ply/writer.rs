@@ -5,7 +5,7 @@ use super::code::{join_11_10_11, join_8888, pack_coefficient, pack_quat};
 use super::order::{Tick, chunk_order};
 use super::{BOUNDS, CHUNK, CHUNK_ROWS, COLOR_BOUNDS, PACKED, SH, VERTEX};
 use crate::AtomicFile;
-use crate::formats::files::write_all_at;
+use crate::disk::write_all_at;
 use crate::formats::inria_ply::comments;
 use crate::formats::limit_tally::{LimitTally, Limits};
 use crate::formats::packed_values::{ALPHA_ENDS, alpha, nearest_byte, tally_alpha};

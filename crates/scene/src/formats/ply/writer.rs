@@ -5,8 +5,8 @@ use super::header::{HeaderLine, PlyElement, PlyProperty, PlyPropertyKind, PlyTyp
 use super::layout::{Cell, Layout};
 use crate::AtomicFile;
 use crate::SceneError;
+use crate::disk::write_all_at;
 use crate::formats::WriteProgress;
-use crate::formats::files::write_all_at;
 use half::f16;
 use rayon::prelude::*;
 use std::io::{BufWriter, Write};
