@@ -117,6 +117,24 @@ fn flags_of_the_depth_loss_have_an_effect_or_are_refused() {
     }
 }
 
+/// Flat Gaussians are laid on depths: without these, or beside other first points, that is refused.
+#[test]
+fn first_gaussians_on_depths_need_depths_and_no_other_points() {
+    let capture = Capture::new();
+    let run = |more: &str| {
+        let small = "--steps 2 --initial 100 --cap 100 --init depth";
+        capture.run(&format!("optimise {SHOTS} {small} {more}"), "out")
+    };
+    let cases = [
+        ("", 2, "--init depth: no frame has depths to make Gaussians of; give them with --depth"),
+        ("--depth @shots/depth --points @room.ply", 2, "leave out --points, or --init"),
+        ("--points @room.ply", 2, "leave out --points, or --init"),
+    ];
+    all_refused(cases, run);
+    assert!(!capture.0.path("out/scene.ply").exists());
+    has(&told(&run("--depth @shots/depth")), &["from the measured depths: flat Gaussians"]);
+}
+
 /// Exposure is learned where the pictures show that it drifts, and what was decided is in the receipt.
 #[test]
 fn drifting_exposure_is_learned() {

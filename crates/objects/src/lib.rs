@@ -2,7 +2,7 @@
 //!
 //! [`find_objects`] takes labels (and, where there are some, features or known instances) and gives a
 //! [`Catalogue`]; [`table`] writes it as JSON, CSV or Markdown, [`relations`] answers "the lamp on
-//! the desk", [`agreement`] compares with true instances.
+//! the desk", [`agreement`] compares with true instances, [`refine`] lets labels and objects correct each other.
 //!
 //! Everything is geometry on slices: no network, no tensor library, nothing random, and the same
 //! answer for any number of threads. It is only as good as the labels: what a network calls by
@@ -38,6 +38,8 @@ mod error;
 mod fragments;
 mod input;
 mod panels;
+mod panoptic;
+mod refine;
 pub mod relations;
 mod settings;
 pub mod surfaces;
@@ -50,6 +52,8 @@ pub use agreement::Agreement;
 pub use catalogue::{Catalogue, Object, find_objects};
 pub use error::ObjectError;
 pub use input::{AddFeature, ObjectInput};
+pub use panoptic::PanopticQuality;
+pub use refine::{RefineSettings, Refined, refine};
 pub use settings::ObjectSettings;
 pub use surroundings::{Floor, is_kind};
 pub use upright_box::UprightBox;

@@ -17,12 +17,12 @@ pub struct ClassShares<'a> {
 }
 
 impl ClassShares<'_> {
-    fn of(&self, gaussian: u32) -> &[f32] {
+    pub(crate) fn of(&self, gaussian: u32) -> &[f32] {
         let row = self.row_of[gaussian as usize] as usize;
         &self.rows[row * self.num_classes..][..self.num_classes]
     }
 
-    fn check(&self, labels: &[i32]) -> Result<()> {
+    pub(crate) fn check(&self, labels: &[i32]) -> Result<()> {
         check_rows("row_of", labels.len(), self.row_of.len())?;
         let rows = self.rows.len().checked_div(self.num_classes).unwrap_or_default();
         if let Some(row) = self.row_of.iter().find(|row| **row as usize >= rows) {
