@@ -18,6 +18,7 @@ use std::sync::{Mutex, MutexGuard, PoisonError};
 
 mod augmentation;
 mod budget;
+mod clusters;
 mod codes;
 mod example;
 mod kept;

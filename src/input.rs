@@ -1,6 +1,7 @@
 //! What the commands read: a scene, or a labeled point cloud that becomes one.
 
 use crate::inference::{EncodeError, SceneFeatures};
+use crate::lifted::{IndexedRows, LiftedError, clusters_beside};
 use crate::outputs::OpenedScene;
 use scenesplat_datasets::{DataError, PointSettings, SurfacePoints, gaussians_from_points};
 use scenesplat_scene::formats::labelled_ply::{LABEL_NAMES, read_labelled_ply};
@@ -46,6 +47,9 @@ pub enum InputError {
         /// Rows that the scene's file has.
         rows: usize,
     },
+    /// Features in their index form that cannot be read.
+    #[error(transparent)]
+    Lifted(#[from] LiftedError),
     /// Features that cannot be used.
     #[error(transparent)]
     Features(#[from] EncodeError),
@@ -95,12 +99,16 @@ pub fn open_input(
 }
 
 /// Reads the features of a scene from a file, `.npy`, `[N, D]`: a row for each row of the scene's
-/// file, or for each that was kept.
+/// file, or for each that was kept; or from `segment_index.npy`, `[N]`, with the features of its clusters
+/// beside it ([`IndexedRows`]).
 ///
 /// # Errors
 /// If the file cannot be read, or has another number of rows.
 pub fn read_features(path: &Path, loaded: &LoadedScene) -> Result<SceneFeatures, InputError> {
     let rows = loaded.source_rows();
+    if let Some(clusters) = clusters_beside(path) {
+        return of_clusters(IndexedRows::read(path, &clusters)?, path, loaded);
+    }
     let (file, count, width) = open_features(path, rows)?;
     let kept = loaded.kept_rows.as_deref();
     let values = match kept {
@@ -109,6 +117,24 @@ pub fn read_features(path: &Path, loaded: &LoadedScene) -> Result<SceneFeatures,
         _ => return Err(InputError::OtherScene { path: path.to_owned(), count, rows }),
     };
     Ok(SceneFeatures::from_rows(values, width)?)
+}
+
+fn of_clusters(
+    found: IndexedRows,
+    path: &Path,
+    loaded: &LoadedScene,
+) -> Result<SceneFeatures, InputError> {
+    let IndexedRows { cluster_of, rows, dim } = found;
+    let (count, expected) = (cluster_of.len(), loaded.source_rows());
+    let cluster_of = match loaded.kept_rows.as_deref() {
+        _ if count == loaded.scene.len() => cluster_of,
+        Some(kept) if count == expected => {
+            kept.iter().map(|&row| cluster_of[row as usize]).collect()
+        }
+        _ => return Err(InputError::OtherScene { path: path.to_owned(), count, rows: expected }),
+    };
+    let rows = rows.into_iter().map(f32::from).collect();
+    Ok(SceneFeatures::from_clusters(rows, dim, &cluster_of)?)
 }
 
 /// As [`read_features`], as a scene carries them: rounded to half precision. `rows`: those of the
@@ -181,6 +207,31 @@ fn labelled_cloud(path: &Path, label: Option<&str>) -> bool {
 mod tests {
     use super::*;
     use scenesplat_scene::formats::npy_writer::write_npy;
+
+    #[test]
+    fn clusters_follow_the_rows_of_the_file() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("segment_index.npy");
+        write_npy(&path, &[4], &[1, 65_535, 0, 1]).unwrap();
+        write_npy(&folder.path().join("segment_features.npy"), &[2, 2], &[0.0f32, 1.0, 1.0, 0.0])
+            .unwrap();
+        let scene = |rows: usize, kept: Option<Vec<u32>>| LoadedScene {
+            scene: GaussianScene { coord: vec![[0.0; 3]; rows], ..GaussianScene::default() },
+            report: Default::default(),
+            kept_rows: kept,
+            path: PathBuf::from("room.ply"),
+            kind: SceneFormat::Ply,
+            stated_up: SceneFormat::Ply.stated_up(),
+            unread: Vec::new(),
+        };
+        let values = |scene: &LoadedScene| {
+            let found = read_features(&path, scene).unwrap();
+            found.gaussian_rows(0..found.len()).unwrap()
+        };
+        assert_eq!(values(&scene(4, None)), [1.0, 0.0, 0.0, 0.0, 0.0, 1.0, 1.0, 0.0]);
+        let error = read_features(&path, &scene(3, None)).unwrap_err();
+        assert!(matches!(error, InputError::OtherScene { count: 4, rows: 3, .. }), "{error}");
+    }
 
     #[test]
     fn features_follow_the_rows_of_the_file() {

@@ -6,9 +6,10 @@ use scenesplat_metrics::{
     FeatureFn, FeatureRows, MetricError, TextRows, UnknownRule, ZeroShotOptions,
     class_probabilities, classify, keep_withheld, vote,
 };
-use scenesplat_objects::ObjectError;
 use scenesplat_objects::surfaces::{AgreeSettings, ClassShares, SceneSurfaces, agree};
-use scenesplat_scene::TextTable;
+use scenesplat_objects::{ObjectError, ObjectInput, ObjectSettings, RefineSettings, refine};
+use scenesplat_scene::frame::Matrix3;
+use scenesplat_scene::{GaussianScene, TextTable};
 use std::borrow::Cow;
 
 /// Why a scene could not be labeled.
@@ -29,7 +30,7 @@ pub enum LabelError {
     /// Features that went to a file could not be read.
     #[error(transparent)]
     Features(#[from] EncodeError),
-    /// Surfaces that cannot be found, or are of another scene.
+    /// Surfaces or objects that cannot be found, or are of another scene.
     #[error(transparent)]
     Surfaces(#[from] ObjectError),
     /// A probability is asked for, and nothing says what cosines have to be divided by for one.
@@ -201,12 +202,50 @@ pub struct Agreement<'a> {
     pub min_probability: Option<f32>,
     /// Least surface of a piece of each class, square meters (see [`AgreeSettings::least_area`]); empty: any.
     pub least_area: &'a [f64],
+    /// Where objects of the labels refine these afterwards.
+    pub objects: Option<RefinedObjects<'a>>,
 }
 
-/// As [`label_gaussians`], and then labels agree on surfaces ([`agree`]). `[N]`
+/// The scene whose objects refine its labels ([`refine`]); what is an object is by the usual settings.
+#[derive(Debug, Clone, Copy)]
+pub struct RefinedObjects<'a> {
+    /// The Gaussians that are labeled.
+    pub scene: &'a GaussianScene,
+    /// Names of the classes.
+    pub names: &'a [String],
+    /// The rotation that brings +z up.
+    pub upright: Matrix3,
+    /// What one unit of the scene is, meters.
+    pub metres_per_unit: f64,
+    /// When an object is what it touches.
+    pub settings: RefineSettings,
+}
+
+impl RefinedObjects<'_> {
+    /// The labels after they and objects refined each other.
+    fn refine(&self, labels: &[i32], shares: &ClassShares<'_>) -> Result<Vec<i32>, ObjectError> {
+        let Self { scene, names, upright, metres_per_unit, settings } = *self;
+        let (scores, instances, features, floor) = (None, None, None, None);
+        let input = ObjectInput {
+            scene,
+            labels,
+            scores,
+            instances,
+            features,
+            names,
+            upright,
+            metres_per_unit,
+            floor,
+        };
+        Ok(refine(&input, shares, &ObjectSettings::default(), &settings)?.labels)
+    }
+}
+
+/// As [`label_gaussians`], and then labels agree on surfaces ([`agree`]) and with objects ([`refine`]), as far as
+/// `agreement` has any. `[N]`
 ///
 /// # Errors
-/// As [`label_gaussians`]; also if the surfaces are of other Gaussians, a probability is asked for without a
+/// As [`label_gaussians`]; also if surfaces or objects are of other Gaussians or classes, a probability is asked for without a
 /// temperature, or one of the two is out of range.
 pub fn label_agreeing(
     features: &SceneFeatures,
@@ -215,7 +254,7 @@ pub fn label_agreeing(
     agreement: &Agreement<'_>,
 ) -> Result<Labels, LabelError> {
     let mut found = agreed_labels(features, classes, options, agreement)?;
-    if agreement.surfaces.is_some() {
+    if agreement.surfaces.is_some() || agreement.objects.is_some() {
         rescore(features, classes, &found.labels, &mut found.scores)?;
     }
     Ok(found)
@@ -228,12 +267,13 @@ pub(crate) fn agreed_labels(
     options: &ZeroShotOptions,
     agreement: &Agreement<'_>,
 ) -> Result<Labels, LabelError> {
-    if agreement.surfaces.is_none() && agreement.min_probability.is_none() {
+    let Agreement { surfaces, min_probability, objects, .. } = agreement;
+    if surfaces.is_none() && min_probability.is_none() && objects.is_none() {
         return label_gaussians(features, classes, options);
     }
     let mut distinct = label_distinct(features, classes, options)?;
     let shares = class_shares(features, classes, options, agreement, &distinct.labels)?;
-    if let Some(least) = agreement.min_probability {
+    if let Some(least) = *min_probability {
         if !(0.0..=1.0).contains(&least) {
             let (field, value) = ("min_probability", f64::from(least));
             return Err(MetricError::Setting { field, value, expected: "a number in 0..=1" }.into());
@@ -247,12 +287,15 @@ pub(crate) fn agreed_labels(
         }
     }
     let mut found = of_gaussians(features, &distinct);
-    if let Some(surfaces) = agreement.surfaces {
-        let (row_of, num_classes) = (features.inverse(), classes.len());
-        let shares = ClassShares { row_of, rows: &shares, num_classes };
+    let shares =
+        ClassShares { row_of: features.inverse(), rows: &shares, num_classes: classes.len() };
+    if let Some(surfaces) = surfaces {
         let settings =
             AgreeSettings { least_area: agreement.least_area, ..AgreeSettings::default() };
         agree(&mut found.labels, &shares, surfaces, &settings)?;
+    }
+    if let Some(objects) = objects {
+        found.labels = objects.refine(&found.labels, &shares)?;
     }
     Ok(found)
 }
@@ -503,5 +546,34 @@ mod tests {
         assert_eq!(of(&on), [0; 3], "2.18 to 1.72");
         let least = Agreement { min_probability: Some(0.8), ..Agreement::default() };
         assert_eq!(of(&least), [1, -1, 0]);
+    }
+
+    #[test]
+    fn objects_refine_labels_and_their_scores() {
+        // A row of 44 that are surely a floor, and at its end 20 that are hardly a mug.
+        let of = |row: usize| if row < 44 { [0.9, 0.1] } else { [0.45, 0.55] };
+        let features = SceneFeatures::from_rows((0..64).flat_map(of).collect(), 2).unwrap();
+        let coord = (0..64).map(|i| [0.02 * i as f32, 0.0, 0.0]).collect();
+        let scene = GaussianScene { coord, ..GaussianScene::default() };
+        let names = ["floor", "mug"].map(str::to_owned);
+        let with = |settings: RefineSettings| {
+            let upright = [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]];
+            let (scene, names, metres_per_unit) = (&scene, &names[..], 1.0);
+            let objects = RefinedObjects { scene, names, upright, metres_per_unit, settings };
+            let agreement = Agreement { objects: Some(objects), ..Agreement::default() };
+            let options = ZeroShotOptions::default();
+            label_agreeing(&features, Classes::Probabilities(2), &options, &agreement)
+        };
+        let found = with(RefineSettings { keep: 0.7, part: 0.5 }).unwrap();
+        assert_eq!(found.labels, [0; 64]);
+        // Rows are at unit length.
+        assert!(
+            (found.scores[63] - 0.45 / 0.55_f32.hypot(0.45)).abs() < 1e-6,
+            "{:?}",
+            found.scores
+        );
+        let found = with(RefineSettings { keep: 0.9, part: 0.5 }).unwrap();
+        assert_eq!((found.labels[43], found.labels[44]), (0, 1));
+        assert!(with(RefineSettings { keep: 0.0, part: 0.5 }).is_err());
     }
 }

@@ -40,6 +40,7 @@ pub mod input;
 pub mod inspect;
 pub mod labels;
 pub mod language_codes;
+pub mod lifted;
 pub mod machine;
 pub mod memory;
 pub mod network;

@@ -1,6 +1,8 @@
 //! What a teacher of pictures saw, as labels of Gaussians: the folder that `collect-labels --teacher` leaves.
 
+use crate::lifted::{IndexedRows, LiftedError, LiftedFiles};
 use crate::text::{TextError, read_text_table};
+use half::f16;
 use rayon::prelude::*;
 use scenesplat_scene::formats::npy::NpyFile;
 use scenesplat_scene::{SceneError, printable};
@@ -17,6 +19,9 @@ pub enum TaughtError {
     /// A file that cannot be read.
     #[error(transparent)]
     File(#[from] SceneError),
+    /// Features in their index form that cannot be read.
+    #[error(transparent)]
+    Lifted(#[from] LiftedError),
     /// Texts that cannot be read.
     #[error(transparent)]
     Text(#[from] TextError),
@@ -81,29 +86,30 @@ pub fn taught_labels(
     let texts = read_text_table(&folder.join(TEXTS), None)?;
     let classes = classes_of_names(&texts.names, names, is_vocabulary)?;
 
-    let path = folder.join("lang_feat.npy");
-    let file = NpyFile::open(&path)?;
-    let bad = |path: PathBuf, problem: String| TaughtError::Folder { path, problem };
-    let &[rows, dim] = file.shape() else {
-        return Err(bad(path, format!("has shape {:?}, not [Gaussians, values]", file.shape())));
+    let bad = |path: &Path, problem: String| TaughtError::Folder { path: path.to_owned(), problem };
+    let files = LiftedFiles::of(folder)?;
+    let (features, dim, cluster_of) = match &files {
+        LiftedFiles::Full(path) => {
+            let file = NpyFile::open(path)?;
+            let &[_, dim] = file.shape() else {
+                let problem = format!("has shape {:?}, not [Gaussians, values]", file.shape());
+                return Err(bad(path, problem));
+            };
+            (file.read_f16()?, dim, None)
+        }
+        LiftedFiles::Index(index, clusters) => {
+            let found = IndexedRows::read(index, clusters)?;
+            (found.rows, found.dim, Some(found.cluster_of))
+        }
     };
     if dim != texts.dim {
-        return Err(bad(
-            path,
-            format!("has {dim} values a row, the texts beside it {}", texts.dim),
-        ));
-    }
-    let features = file.read_f16()?;
-    let confidence_path = folder.join("confidence.npy");
-    let confidence = NpyFile::open(&confidence_path)?.read_f32()?;
-    if confidence.len() != rows {
-        let problem = format!("has {} values for {rows} rows of features", confidence.len());
-        return Err(bad(confidence_path, problem));
+        let problem = format!("has {dim} values a row, the texts beside it {}", texts.dim);
+        return Err(bad(files.features(), problem));
     }
     // The nearest text of each row, the first of equally near ones.
     let text_of = |row: usize| {
         let own = &features[row * dim..][..dim];
-        if own.iter().all(|v| *v == half::f16::ZERO) {
+        if own.iter().all(|v| *v == f16::ZERO) {
             return None;
         }
         let mut best = (f32::NEG_INFINITY, None);
@@ -115,7 +121,22 @@ pub fn taught_labels(
         }
         best.1
     };
-    let nearest: Vec<Option<usize>> = (0..rows).into_par_iter().map(text_of).collect();
+    let nearest: Vec<Option<usize>> =
+        (0..features.len() / dim).into_par_iter().map(text_of).collect();
+    let nearest = match cluster_of {
+        None => nearest,
+        Some(of) => {
+            let text_of = |cluster: &Option<u16>| nearest[usize::from((*cluster)?)];
+            of.iter().map(text_of).collect()
+        }
+    };
+    let confidence_path = folder.join("confidence.npy");
+    let confidence = NpyFile::open(&confidence_path)?.read_f32()?;
+    if confidence.len() != nearest.len() {
+        let rows = nearest.len();
+        let problem = format!("has {} values for {rows} rows of features", confidence.len());
+        return Err(bad(&confidence_path, problem));
+    }
     let mut counts = vec![0; texts.names.len()];
     nearest.iter().flatten().for_each(|text| counts[*text] += 1);
     let unused = texts.names.iter().zip(&classes).zip(&counts);
@@ -194,6 +215,36 @@ mod tests {
         let (mut labels, mut scores) = ([-1; 5], [0.5; 5]);
         assert_eq!(found.overrule(&mut labels, &mut scores, None), 3);
         assert_eq!((labels, scores), ([1, -1, -1, 2, 1], [0.9, 0.5, 0.5, 0.7, 0.6]));
+    }
+
+    #[test]
+    fn both_forms_of_features_are_read_and_not_at_once() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path();
+        let rows = [[0.9, 0.3, 0.0], [0.0; 3], [0.1, 0.8, 0.2], [0.9, 0.3, 0.0], [0.0, 0.0, 1.0]];
+        write(path, ["table", "bottle", "chair"], &rows, &[0.9, 0.0, 0.8, 0.7, 0.6]);
+        let classes = names(&["table", "chair"]);
+        let full = taught_labels(path, &classes, false).unwrap();
+        let table: Vec<f16> = [&rows[2], &rows[0], &rows[4]]
+            .into_iter()
+            .flatten()
+            .map(|v| f16::from_f32(*v))
+            .collect();
+        write_npy(&path.join("segment_index.npy"), &[5], &[1, 65_535, 0, 1, 2]).unwrap();
+        write_npy(&path.join("segment_features.npy"), &[3, 3], &table).unwrap();
+        let error = taught_labels(path, &classes, false).unwrap_err().to_string();
+        assert!(error.contains("remove one of them"), "{error}");
+        std::fs::remove_file(path.join("lang_feat.npy")).unwrap();
+        let found = taught_labels(path, &classes, false).unwrap();
+        assert_eq!(found.labels, [0, -1, -1, 0, 1]);
+        assert_eq!(found, full);
+        // One confidence too few, and features of another width.
+        write_npy(&path.join("confidence.npy"), &[4], &[1.0_f32; 4]).unwrap();
+        let error = taught_labels(path, &classes, false).unwrap_err().to_string();
+        assert!(error.contains("has 4 values for 5 rows"), "{error}");
+        write_npy(&path.join("segment_features.npy"), &[9, 1], &table).unwrap();
+        let error = taught_labels(path, &classes, false).unwrap_err().to_string();
+        assert!(error.contains("segment_features.npy: has 1 values a row"), "{error}");
     }
 
     #[test]

@@ -1,5 +1,5 @@
-//! `--surfaces` and `--min-probability`: labels agree on what is one smooth surface of one color, and stay out where the
-//! network is not sure.
+//! `--surfaces`, `--min-probability` and `--refine`: labels agree on what is one smooth surface of one color, stay out where
+//! the network is not sure, and objects correct them.
 
 use crate::error::refuse;
 use crate::flags::Inference;
@@ -7,9 +7,11 @@ use crate::frame::{Frame, frame};
 use crate::session::Session;
 use anyhow::Result;
 use scenesplat::calibration::Calibration;
-use scenesplat::labels::Agreement;
+use scenesplat::labels::{Agreement, RefinedObjects};
+use scenesplat::objects::RefineSettings;
 use scenesplat::objects::surfaces::{SceneSurfaces, SurfaceSettings, scene_surfaces};
 use scenesplat::outputs::OpenedScene;
+use scenesplat::scene::GaussianScene;
 
 /// What labels agree on, and how sure they have to be.
 #[derive(Debug, Clone, Copy, PartialEq, clap::Args)]
@@ -23,6 +25,20 @@ pub struct SurfaceArgs {
     /// probabilities are calibrated, such as the one inside the program, with the classes of the vocabulary, or of a classifier.
     #[arg(long, value_name = "P", value_parser = parse_probability)]
     pub min_probability: Option<f32>,
+    /// What corrects labels before neighbors vote. objects: an object of the labels becomes a much larger one that it touches and
+    /// could be as well, or what its Gaussians speak for most if it could not be what it is, and its Gaussians with it.
+    /// Needs probabilities, as --min-probability does.
+    #[arg(long, value_name = "WHAT", default_value = "off")]
+    pub refine: RefineChoice,
+}
+
+/// What corrects labels.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, clap::ValueEnum)]
+pub enum RefineChoice {
+    /// The objects that they make.
+    Objects,
+    /// Nothing.
+    Off,
 }
 
 /// What is done about surfaces.
@@ -61,6 +77,8 @@ pub struct Agreeing {
     temperature: Option<f32>,
     min_probability: Option<f32>,
     least_area: Vec<f64>,
+    /// How the scene lies, if objects refine labels.
+    refines: Option<Frame>,
 }
 
 impl Agreeing {
@@ -69,13 +87,19 @@ impl Agreeing {
         self.surfaces.as_ref()
     }
 
-    /// As the library takes it.
-    pub fn agreement(&self) -> Agreement<'_> {
+    /// As the library takes it, for the scene that it was found for and the names of its classes.
+    pub fn agreement<'a>(&'a self, scene: &'a GaussianScene, names: &'a [String]) -> Agreement<'a> {
+        let objects = self.refines.map(|frame| {
+            let Frame { upright, metres_per_unit, .. } = frame;
+            let settings = RefineSettings::default();
+            RefinedObjects { scene, names, upright, metres_per_unit, settings }
+        });
         Agreement {
             surfaces: self.surfaces.as_ref(),
             temperature: self.temperature,
             min_probability: self.min_probability,
             least_area: &self.least_area,
+            objects,
         }
     }
 }
@@ -85,6 +109,9 @@ impl SurfaceArgs {
     pub fn given(self) -> Option<&'static str> {
         if self.surfaces != SurfaceChoice::Auto {
             return Some("--surfaces");
+        }
+        if self.refine != RefineChoice::Off {
+            return Some("--refine");
         }
         self.min_probability.map(|_| "--min-probability")
     }
@@ -96,8 +123,15 @@ impl SurfaceArgs {
         temperature: Option<f32>,
         is_classifier: bool,
     ) -> Result<()> {
+        let has_none = temperature.is_none() && !is_classifier;
+        if has_none && self.refine != RefineChoice::Off {
+            refuse!(
+                "--refine: cosines of this network with these classes are not calibrated, as those of the network \
+                 inside the program with its own are; leave it out"
+            );
+        }
         if let Some(least) = self.min_probability {
-            if temperature.is_none() && !is_classifier {
+            if has_none {
                 refuse!(
                     "--min-probability: cosines of this network with these classes are not calibrated, as those of the \
                             network inside the program with its own are; give a least cosine (--min-score)"
@@ -143,7 +177,16 @@ impl SurfaceArgs {
             temperature,
             min_probability: self.min_probability,
             least_area: sizes.map(|sizes| sizes.least_area(names)).unwrap_or_default(),
+            refines: None,
         };
+        if self.refine == RefineChoice::Objects {
+            agreeing.refines = Some(frame(session, opened, inference));
+            session.receipt.setting(
+                "refine",
+                "objects",
+                "labels and their objects correct each other",
+            );
+        }
         if !is_on {
             session.receipt.setting("surfaces", "off", "each Gaussian has a label of its own");
             return Ok(agreeing);

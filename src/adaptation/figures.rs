@@ -173,6 +173,7 @@ impl Exam<'_> {
             temperature: calibration.map(|own| own.temperature),
             min_probability: None,
             least_area: &sizes.least_area(&self.texts.names),
+            objects: None,
         };
         let classes = Classes::Texts(self.texts);
         let options = Default::default();

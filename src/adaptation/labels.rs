@@ -2,7 +2,8 @@
 
 use super::error::AdaptError;
 use crate::evaluation::classes_of_labels;
-use crate::taught::{TEXTS, classes_of_names, taught_labels};
+use crate::lifted::LiftedFiles;
+use crate::taught::{TEXTS, TaughtError, classes_of_names, taught_labels};
 use scenesplat_scene::formats::npy::NpyFile;
 use scenesplat_scene::label_set::read_names;
 use scenesplat_scene::{ClassMap, LoadedScene};
@@ -72,8 +73,9 @@ impl LabelFiles<'_> {
             }
             (true, true) => {
                 let found = taught_labels(self.path, classes, true)?;
-                let files = [TEXTS, "lang_feat.npy", "confidence.npy"].map(|f| self.path.join(f));
-                (found.labels, found.unused, files.to_vec())
+                let mut files = LiftedFiles::of(self.path).map_err(TaughtError::from)?.paths();
+                files.extend([TEXTS, "confidence.npy"].map(|f| self.path.join(f)));
+                (found.labels, found.unused, files)
             }
             (true, false) if !self.path.join(LABELS).is_file() => {
                 let problem = format!("holds neither {TEXTS} nor {LABELS}");

@@ -33,7 +33,7 @@ pub struct Labelling {
     #[arg(long, value_name = "K")]
     pub vote_k: Option<usize>,
     /// Features made before instead of a network: .npy, [N, D], one row per Gaussian, such as
-    /// lang_feat.npy of lift-labels or features.npy.
+    /// lang_feat.npy of lift-labels or features.npy; or segment_index.npy of lift-labels, with segment_features.npy beside it.
     #[arg(long, value_name = "FILE.npy")]
     pub features: Option<PathBuf>,
     /// The folder that collect-labels --teacher wrote for this scene: what the teacher names there overrules the labels.
@@ -229,7 +229,7 @@ impl Labelling {
             let _stage = session.receipt.stage("labels");
             let k = self.vote_k.unwrap_or(VOTE_K);
             session.receipt.setting("vote_k", k, "neighbors that vote on each label");
-            let agreement = agreeing.agreement();
+            let agreement = agreeing.agreement(scene, &names.names);
             label_agreeing_with_vote(&features, classes, &options, &agreement, &scene.coord, k)?
         };
         if found.num_withheld + found.num_unusable > 0 {

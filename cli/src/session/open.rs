@@ -6,6 +6,7 @@ use crate::flags::Inference;
 use anyhow::Result;
 use scenesplat::Network;
 use scenesplat::input::open_input;
+use scenesplat::lifted::clusters_beside;
 use scenesplat::outputs::OpenedScene;
 use scenesplat::scene::ReadOptions;
 use std::path::{Path, PathBuf};
@@ -113,6 +114,10 @@ impl Session<'_> {
             }
             self.outputs.reads(file)?;
             self.receipt.fingerprint("features", file)?;
+            if let Some(clusters) = clusters_beside(file) {
+                self.outputs.reads(&clusters)?;
+                self.receipt.fingerprint("clusters", &clusters)?;
+            }
             return Ok((self.open(path, inference)?, FeatureSource::File(file.to_owned())));
         }
         if inference.network.weights.is_some() {

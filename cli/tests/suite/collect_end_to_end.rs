@@ -196,6 +196,68 @@ fn collect(dir: &Path, segments: &str, out: &str) -> String {
     out
 }
 
+/// Lifts the segments that were collected in `from` again, in a form: the file of features, bytes of what the form is, and
+/// seconds of lifting and of making it.
+fn lifted(dir: &Path, from: &str, form: &str) -> (String, u64, String) {
+    let at = |name: &str| dir.join(name).to_str().unwrap().to_owned();
+    let (out, frames) = (at(&format!("{form}_of_{from}")), format!("{}/frames", at(from)));
+    let (scene, cameras) = (at("scene"), at("cameras.json"));
+    let words =
+        ["lift-labels", &scene, "--cameras", &cameras, "--segments", &frames, "--out", &out];
+    done(&scenesplat(&[&words[..], &["--form", form, "--quiet"]].concat()));
+    let files: &[&str] = match form {
+        "full" => &["lang_feat.npy", "valid_feat_mask.npy"],
+        _ => &["segment_index.npy", "segment_features.npy"],
+    };
+    let bytes = files.iter().map(|name| Path::new(&out).join(name).metadata().unwrap().len()).sum();
+    let receipt = text(Path::new(&out).join("receipt.json"));
+    let stages = ["lift", "disagreement", "features"].iter().filter_map(|stage| {
+        let rest = receipt.split(&format!("\"name\": \"{stage}\"")).nth(1)?;
+        let value = rest.split("\"seconds\":").nth(1)?.trim_start();
+        Some(format!("{stage} {}", &value[..value.find(',')?]))
+    });
+    (format!("{out}/{}", files[0]), bytes, stages.collect::<Vec<_>>().join(", "))
+}
+
+/// Both forms of the labels that were collected in `from`: bytes and f-mIoU of each, and the share of Gaussians with a
+/// label that have the same one in both.
+fn compare_forms(dir: &Path, from: &str) -> [(u64, f64); 2] {
+    let mut labels = Vec::new();
+    let found = ["full", "index"].map(|form| {
+        let (features, bytes, seconds) = lifted(dir, from, form);
+        let at = |name: &str| dir.join(name).to_str().unwrap().to_owned();
+        let (scene, texts, out) = (at("scene"), at("texts.safetensors"), at("labels"));
+        let words = ["segment", &scene, "--features", &features, "--text", &texts, "--out", &out];
+        done(&scenesplat(&[&words[..], &["--vote-k", "1", "--quiet"]].concat()));
+        labels.push(npy(Path::new(&out).join("labels.npy")).read_i64().unwrap());
+        let score = score(dir, &["--features", &features, "--vote-k", "1"]);
+        println!(
+            "{from}, {form}: {bytes} bytes, f-mIoU {score:.4} without a vote; seconds: {seconds}"
+        );
+        (bytes, score)
+    });
+    let both = labels[0].iter().zip(&labels[1]).filter(|(full, _)| **full >= 0);
+    let (same, all) =
+        both.fold((0, 0), |(same, all), (a, b)| (same + usize::from(a == b), all + 1));
+    println!("{from}: {same} of {all} labels are the same in both forms");
+    found
+}
+
+#[test]
+fn the_index_form_is_small_and_nearly_as_good() {
+    let size = size();
+    let place = tempfile::tempdir().unwrap();
+    let dir = place.path();
+    world(dir, &size);
+    let masks = dir.join("masks").to_str().unwrap().to_owned();
+    for (from, segments) in [("by_masks", masks.as_str()), ("by_superpixels", "superpixels")] {
+        collect(dir, segments, from);
+        let [full, index] = compare_forms(dir, from);
+        assert!(index.0 * 10 < full.0, "{} bytes, {} of the full form", index.0, full.0);
+        assert!(index.1 > full.1 - 0.1, "f-mIoU {}, of the full form {}", index.1, full.1);
+    }
+}
+
 /// Trains from the folder `train`; f-mIoU of the network on the room.
 pub fn train(dir: &Path, epochs: usize) -> f64 {
     let experiment = EXPERIMENT

@@ -156,6 +156,28 @@ fn a_run_that_was_killed_anywhere_goes_on_to_the_same_bits() {
     }
 }
 
+#[test]
+fn the_index_form_goes_on_with_frames_that_a_killed_run_left() {
+    let world = World::new();
+    let form = "--form index";
+    let bits = |out: &str| {
+        let files = ["segment_index.npy", "segment_features.npy", "confidence.npy", "views.npy"];
+        files.map(|name| bytes(world.0.path(out).join(name)))
+    };
+    has(&told(&world.collect("whole", form)), &["Gaussians have one of"]);
+    let whole = bits("whole");
+    assert!(!world.0.path("whole/lang_feat.npy").exists());
+    // Frames do not depend on the form that they are lifted in.
+    let frames = world.0.path("cut/frames");
+    killed(&world, "cut", || frames.join("001.json").exists());
+    assert!(!world.0.path("cut/lang_feat.npy").exists(), "not killed in time");
+    let said = told(&world.collect("cut", &format!("{form} --threads 1")));
+    assert!(!said.contains("; 0 pictures were done before"), "{said}");
+    assert_eq!(bits("cut"), whole);
+    refused(&world.collect("cut", &format!("{form} --robust off")), 2, &["--robust"]);
+    refused(&world.collect("cut", ""), 2, &["segment_index.npy", "remove it"]);
+}
+
 /// Gray maps of the left and the right half.
 fn masks(world: &World, name: &str, samples: impl Fn(Vec<u16>) -> Samples) {
     for i in 0..COUNT {

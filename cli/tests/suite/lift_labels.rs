@@ -4,7 +4,7 @@ use crate::support::*;
 use half::f16;
 use scenesplat::scene::formats::npy_writer::write_npy;
 use scenesplat::scene::picture::{Channels, Picture, Samples};
-use scenesplat::scene::{Camera, GaussianScene};
+use scenesplat::scene::{Camera, GaussianScene, TextTable};
 use std::process::Output;
 
 const W: usize = 64;
@@ -106,6 +106,82 @@ fn labels_reach_their_gaussians() {
     done(&world.lift("--coverage 1e6"));
     assert_eq!(world.values("valid_feat_mask.npy"), [0.0; 3]);
     assert_eq!(world.values("lang_feat.npy"), [0.0; 6]);
+}
+
+#[test]
+fn the_index_form_has_a_number_for_each_gaussian_and_a_feature_for_each_cluster() {
+    let world = World::new();
+    let out = |name: &str| world.0.path("out").join(name);
+    has(
+        &told(&world.lift("--form index")),
+        &["2 of 3 Gaussians have one of 2 clusters of 4 segments"],
+    );
+    let index = npy(out("segment_index.npy"));
+    assert_eq!((index.shape(), index.ty().size()), (&[3][..], 2));
+    assert_eq!(index.read_i64().unwrap(), [0, 1, 65_535]);
+    let table = npy(out("segment_features.npy"));
+    assert_eq!((table.shape(), table.ty().size()), (&[2, 2][..], 2));
+    assert_eq!(table.read_f32().unwrap(), [1.0, 0.0, 0.0, 1.0]);
+    assert_eq!(world.values("views.npy"), [2.0, 2.0, 0.0]);
+    let confidence = world.values("confidence.npy");
+    assert!(confidence[0] > 0.999 && confidence[1] > 0.999 && confidence[2] == 0.0);
+    assert!(!out("lang_feat.npy").exists() && !out("valid_feat_mask.npy").exists());
+    has(&world.receipt(), &["clusters[0]", "segment_features.npy"]);
+    let files = ["segment_index.npy", "segment_features.npy", "confidence.npy", "coverage.npy"];
+    let read = || files.map(|name| bytes(out(name)));
+    let first = read();
+    done(&world.lift("--form index --threads 1 --max-memory 50kB"));
+    assert_eq!(read(), first);
+    // What labels a Gaussian is chosen as before; one level or several.
+    done(&world.lift("--form index --coverage 1e6"));
+    assert_eq!(npy(out("segment_index.npy")).read_i64().unwrap(), [65_535; 3]);
+    assert_eq!(npy(out("segment_features.npy")).shape(), [0, 2]);
+    done(&world.lift("--form index --level 1,0"));
+    assert_eq!(npy(out("level-1/segment_index.npy")).read_i64().unwrap(), [0, 0, 65_535]);
+    assert_eq!(bytes(out("level-0/segment_index.npy")), first[0]);
+    // A row that was left out has no number.
+    let mut scene = scene().select_rows(&[0, 0, 1, 2]).unwrap();
+    scene.coord[0][0] = f32::NAN;
+    world.0.scene("room.ply", &scene);
+    done(&world.lift("--form index"));
+    assert_eq!(npy(out("segment_index.npy")).read_i64().unwrap(), [65_535, 0, 1, 65_535]);
+}
+
+#[test]
+fn both_forms_give_the_same_labels_and_do_not_mix() {
+    let world = World::new();
+    let texts = TextTable::from_rows(
+        ["left", "right"].map(str::to_owned).to_vec(),
+        vec![0.9, 0.1, 0.2, 0.8],
+        2,
+    );
+    world.0.write("texts.safetensors", texts.unwrap().to_safetensors().unwrap());
+    let labels = |file: &str| {
+        let [scene, features, texts, out] =
+            ["room.ply", file, "texts.safetensors", "seen"].map(|name| world.0.at(name));
+        let words = format!("segment {scene} --features {features} --text {texts} --vote-k 1");
+        done(&run!("{words} --out {out}"));
+        npy(world.0.path("seen/labels.npy")).read_i64().unwrap()
+    };
+    done(&world.lift(""));
+    assert_eq!(labels("out/lang_feat.npy"), [0, 1, -1]);
+    // Features of two forms in one folder would be of two runs.
+    refused(&world.lift("--form index"), 2, &["lang_feat.npy", "remove it"]);
+    for name in ["lang_feat.npy", "valid_feat_mask.npy"] {
+        std::fs::remove_file(world.0.path("out").join(name)).unwrap();
+    }
+    done(&world.lift("--form index"));
+    assert_eq!(labels("out/segment_index.npy"), [0, 1, -1]);
+    has(&text(world.0.path("seen/receipt.json")), &["segment_features.npy"]);
+    refused(&world.lift(""), 2, &["segment_index.npy", "remove it"]);
+    // What is about the features of single Gaussians has no effect on clusters.
+    for flag in
+        ["--robust on", "--robust-rule heaviest-group", "--view-exponent 0", "--unnormalised"]
+    {
+        let name = flag.split(' ').next().unwrap();
+        refused(&world.lift(&format!("--form index {flag}")), 2, &[name, "--form index has none"]);
+    }
+    refused(&world.lift("--form index --coverage nan"), 2, &["coverage"]);
 }
 
 #[test]

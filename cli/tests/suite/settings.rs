@@ -128,6 +128,43 @@ fn labels_agree_on_surfaces_by_themselves_or_as_asked_for() {
 }
 
 #[test]
+fn objects_refine_labels_if_that_is_asked_for() {
+    let case = Case::new(20_000);
+    let plain = case.own("segment", "labels.npy", "");
+    assert_eq!(case.receipt("refine"), None);
+    assert_eq!(plain, case.own("segment", "labels.npy", "--refine off"));
+    let refined = case.own("segment", "labels.npy", "--refine objects");
+    assert_eq!(case.receipt("refine").as_deref(), Some("objects"));
+    assert_ne!(plain, refined);
+    assert_eq!(refined, case.own("segment", "labels.npy", "--refine objects --threads 1"));
+    let alone = |more: &str| case.own("segment", "labels.npy", &format!("--surfaces off {more}"));
+    assert_ne!(alone(""), alone("--refine objects"));
+    let figures = |more: &str| case.evaluated(more)["miou"].clone();
+    assert_ne!(figures(""), figures("--refine objects"));
+    assert_eq!(figures(""), figures("--refine off"));
+    // Objects are made of the same labels.
+    assert_ne!(
+        case.own("objects", "instances.npy", "--pieces"),
+        case.own("objects", "instances.npy", "--pieces --refine objects")
+    );
+    let (scene, texts) = (&case.scene, asset("classes.safetensors").display().to_string());
+    let cases = [
+        (
+            &*format!("segment {scene} {TINY} --text {texts} --refine objects"),
+            2,
+            "--refine: cosines of this network",
+        ),
+        (
+            "evaluate synthetic:1:3 --features oracle --refine objects",
+            2,
+            "--refine is about labels",
+        ),
+        (&format!("segment {scene} --refine labels"), 2, "--refine <WHAT>"),
+    ];
+    all_refused(cases, |words| run!("{words} --out {}", case.out("")));
+}
+
+#[test]
 fn what_is_less_probable_stays_unknown() {
     let case = Case::new(20_000);
     let unknown = |more: &str| {

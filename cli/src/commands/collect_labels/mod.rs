@@ -18,7 +18,7 @@ use scenesplat::taught::TEXTS;
 use sources::{Labeler, Sources};
 use work::Work;
 
-use super::lift_labels::{FILES, PictureLabels};
+use super::lift_labels::PictureLabels;
 
 /// Runs the command.
 pub fn run(args: &Args, line: &str) -> Result<()> {
@@ -35,7 +35,7 @@ pub fn run(args: &Args, line: &str) -> Result<()> {
         None => frames::of_photos(&session, args)?,
         Some(_) => Vec::new(),
     };
-    session.outputs.open_folder(&FILES)?;
+    session.outputs.open_folder(args.lifting.files())?;
     let opened = session.open_with(&args.input.scene, &args.read_options())?;
     if let Some(cameras) = args.cameras.as_ref().filter(|path| path.is_file()) {
         session.receipt.fingerprint("cameras", cameras)?;

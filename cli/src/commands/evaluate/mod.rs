@@ -105,7 +105,8 @@ fn score(
     let agreeing = args.surfaces.find(session, opened, &args.inference, asked)?;
     let labels = {
         let _stage = session.receipt.stage("labels");
-        evaluation.label_agreeing(&features, is_classifier, &agreeing.agreement())?
+        let agreement = agreeing.agreement(scene, evaluation.names());
+        evaluation.label_agreeing(&features, is_classifier, &agreement)?
     };
     let _stage = session.receipt.stage("score");
     let withheld = about.withheld_at(truth.places());

@@ -14,7 +14,8 @@ use std::path::PathBuf;
 
 /// Lifts the segments of pictures onto the Gaussians: writes lang_feat.npy ([N, D], f16, one row per
 /// Gaussian of the file, 0 without a label), valid_feat_mask.npy, confidence.npy, views.npy,
-/// coverage.npy, preview.png (colored by the features) and a receipt.
+/// coverage.npy, preview.png (colored by the features) and a receipt. With --form index segment_index.npy ([N], u16) and
+/// segment_features.npy ([K, D], f16) instead of the first two.
 #[derive(Debug, clap::Args)]
 pub struct Args {
     /// Which scenes.
@@ -81,6 +82,10 @@ pub struct LiftArgs {
     #[arg(long, value_name = "BOOL", num_args = 0..=1, default_missing_value = "true",
           require_equals = true)]
     pub antialiased: Option<bool>,
+    /// What is written. full: a feature for each Gaussian. index: segments are clustered once over all pictures; each Gaussian
+    /// has the number of a cluster, two bytes, and each cluster a feature. Faster and much smaller; not for training.
+    #[arg(long, value_enum, default_value_t = FormArg::Full)]
+    pub form: FormArg,
     /// Which pixels label a Gaussian.
     #[arg(long, value_enum, default_value_t = RuleArg::AlphaWeighted)]
     pub rule: RuleArg,
@@ -118,6 +123,15 @@ pub struct LiftArgs {
     /// Flags of all commands.
     #[command(flatten)]
     pub shared: Shared,
+}
+
+/// What is written.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+pub enum FormArg {
+    /// A feature for each Gaussian.
+    Full,
+    /// A number for each Gaussian, a feature for each cluster of segments.
+    Index,
 }
 
 /// Which pixels count.

@@ -9,6 +9,7 @@ use scenesplat::datasets::effects::plan::EffectDecision;
 use scenesplat::outputs::{OpenedScene, write_scene_preview};
 use scenesplat::rasterizer::lifting::{LiftError, Lifter};
 use scenesplat::scene::guess_up;
+use std::path::{Path, PathBuf};
 
 impl Args {
     /// Makes the features of one level and writes all files.
@@ -21,10 +22,7 @@ impl Args {
         level: usize,
         guard: Guard,
     ) -> Result<()> {
-        let folder = match self.level.len() {
-            1 => session.outputs.main_folder()?,
-            _ => session.outputs.inner_folder(&format!("level-{level}"))?,
-        };
+        let folder = self.folder(session, level)?;
         let stage = session.receipt.stage("features");
         let mut writer = write::Writer::new(opened, &folder, lifter.tables())?;
         let rows = opened.loaded.scene.len().max(1);
@@ -55,6 +53,25 @@ impl Args {
             written.mean_views
         ));
         session.check_stop()?;
+        self.picture(session, opened, &folder, &written.colors)
+    }
+
+    /// Where the files of a level go.
+    pub(super) fn folder(&self, session: &Session<'_>, level: usize) -> Result<PathBuf> {
+        match self.level.len() {
+            1 => session.outputs.main_folder(),
+            _ => session.outputs.inner_folder(&inner_folder(level)),
+        }
+    }
+
+    /// The picture of a level's features. `colors`: of the Gaussians.
+    pub(super) fn picture(
+        &self,
+        session: &Session<'_>,
+        opened: &OpenedScene,
+        folder: &Path,
+        colors: &[[u8; 3]],
+    ) -> Result<()> {
         let _stage = session.receipt.stage("picture");
         let name = self.input.name();
         let title = format!("{name}: lifted labels (principal components as colors)");
@@ -63,8 +80,13 @@ impl Args {
         let up = self.lifting.up.unwrap_or_else(|| guess_up(scene, stated).direction);
         let path = folder.join("preview.png");
         let settings = self.lifting.preview.settings(title, up);
-        let bytes = write_scene_preview(scene, &written.colors, &[], &settings, &path)?;
+        let bytes = write_scene_preview(scene, colors, &[], &settings, &path)?;
         session.wrote(&path, bytes);
         Ok(())
     }
+}
+
+/// The folder of a level in the output folder, if there are several.
+pub(super) fn inner_folder(level: usize) -> String {
+    format!("level-{level}")
 }

@@ -4,6 +4,7 @@ mod args;
 mod collect;
 mod depth;
 mod glass;
+mod index;
 mod level;
 mod photos;
 mod pictures;
@@ -13,6 +14,7 @@ mod write;
 use crate::error::{WrongUse, refuse};
 use crate::session::Session;
 use anyhow::Result;
+use args::FormArg;
 pub use args::{Args, FrameWeightsArg, LiftArgs, RobustRuleArg};
 use pictures::Pictures;
 use plan::Guard;
@@ -23,7 +25,6 @@ use scenesplat::rasterizer::Gaussians;
 use scenesplat::rasterizer::lifting::LiftSettings;
 use scenesplat::rasterizer::segments::{CameraMatches, SegmentFolder};
 use scenesplat::scene::Camera;
-pub use write::FILES;
 
 /// Runs the command.
 pub fn run(args: &Args, line: &str) -> Result<()> {
@@ -36,7 +37,7 @@ pub fn run(args: &Args, line: &str) -> Result<()> {
     let before = args.plan_before(&session)?;
     let (cameras, folder, matches) = args.pictures(&session)?;
     pictures::views(&cameras, &matches, &args.cameras)?;
-    session.outputs.open_folder(if args.level.len() == 1 { &FILES } else { &[] })?;
+    session.outputs.open_folder(if args.level.len() == 1 { args.lifting.files() } else { &[] })?;
     let opened = args.open(&session)?;
     let gaussians = Gaussians::from_scene(&opened.loaded.scene)?;
     args.record(&session)?;
@@ -64,6 +65,8 @@ impl Args {
     /// Refuses settings that could not be kept.
     pub(super) fn check(&self) -> Result<()> {
         self.finalise(&Guard::default()).check().map_err(|e| WrongUse(e.to_string()))?;
+        self.check_form()?;
+        self.lifting.check_left_over(&self.level)?;
         self.check_memory()?;
         self.check_effects()
     }
@@ -93,6 +96,10 @@ impl Args {
         let mut lifter = self.lift(session, gaussians, &pictures, &weights, &settings, &glass)?;
         self.note_glass(session, &lifter, glass);
         for (number, &level) in self.level.iter().enumerate() {
+            if self.lifting.form == FormArg::Index {
+                self.write_index(session, opened, &mut lifter, (number, level))?;
+                continue;
+            }
             let guard = self.decide(session, &mut lifter, number, level)?;
             self.write(session, opened, &mut lifter, number, level, guard)?;
         }

@@ -2,6 +2,7 @@
 
 use anyhow::{Context, Result};
 use half::f16;
+use scenesplat::lifted::FULL;
 use scenesplat::outputs::OpenedScene;
 use scenesplat::principal::{PrincipalDirections, sample_step, stretched_colors};
 use scenesplat::rasterizer::lifting::{BlockFeatures, LiftError, SegmentTables};
@@ -9,15 +10,9 @@ use scenesplat::scene::SceneError;
 use scenesplat::scene::formats::npy_writer::{NpyElement, NpyRowWriter, write_npy};
 use std::path::{Path, PathBuf};
 
-/// The files of one granularity, with the picture of them.
-pub const FILES: [&str; 6] = [
-    "lang_feat.npy",
-    "valid_feat_mask.npy",
-    "confidence.npy",
-    "views.npy",
-    "coverage.npy",
-    "preview.png",
-];
+/// The files of one granularity in the full form, with the picture of them.
+pub(super) const FILES: [&str; 6] =
+    [FULL, "valid_feat_mask.npy", "confidence.npy", "views.npy", "coverage.npy", "preview.png"];
 
 /// Writes features as they come and keeps what is small.
 pub(super) struct Writer<'a> {
@@ -55,7 +50,7 @@ impl<'a> Writer<'a> {
         tables: &SegmentTables,
     ) -> Result<Self> {
         let (rows, dim) = (opened.loaded.source_rows(), tables.dim());
-        let path = folder.join("lang_feat.npy");
+        let path = folder.join(FULL);
         let step = sample_step(tables.len());
         let sample = (0..tables.len()).step_by(step).flat_map(|s| tables.row(s as u32)).copied();
         let directions = PrincipalDirections::find(sample.collect(), dim);
@@ -114,7 +109,7 @@ impl<'a> Writer<'a> {
         let mean_confidence = mean(&mut self.confidence.iter().map(|&v| f64::from(v)));
         let mean_views = mean(&mut self.views.iter().map(|&v| f64::from(v)));
         let column = Column { opened: self.opened, folder: &self.folder };
-        let mut files = vec![with_size(self.folder.join("lang_feat.npy"))?];
+        let mut files = vec![with_size(self.folder.join(FULL))?];
         files.push(column.write("valid_feat_mask.npy", &self.valid)?);
         files.push(column.write("confidence.npy", &self.confidence)?);
         files.push(column.write("views.npy", &self.views)?);
@@ -125,14 +120,18 @@ impl<'a> Writer<'a> {
 }
 
 /// Where columns go.
-struct Column<'a> {
-    opened: &'a OpenedScene,
-    folder: &'a Path,
+pub(super) struct Column<'a> {
+    pub(super) opened: &'a OpenedScene,
+    pub(super) folder: &'a Path,
 }
 
 impl Column<'_> {
-    /// One value per row of the source, 0 where a row was left out.
-    fn write<T: NpyElement + Default>(&self, name: &str, values: &[T]) -> Result<(PathBuf, u64)> {
+    /// One value per row of the source, the usual one (mostly 0) where a row was left out.
+    pub(super) fn write<T: NpyElement + Default>(
+        &self,
+        name: &str,
+        values: &[T],
+    ) -> Result<(PathBuf, u64)> {
         let path = self.folder.join(name);
         let rows = self.opened.loaded.to_source_rows(values, T::default())?;
         write_npy(&path, &[rows.len()], &rows)?;
@@ -140,7 +139,8 @@ impl Column<'_> {
     }
 }
 
-fn with_size(path: PathBuf) -> Result<(PathBuf, u64)> {
+/// A file and its size.
+pub(super) fn with_size(path: PathBuf) -> Result<(PathBuf, u64)> {
     let about = std::fs::metadata(&path).with_context(|| path.display().to_string())?;
     Ok((path, about.len()))
 }

@@ -31,7 +31,7 @@ pub struct Args {
     #[arg(long, value_name = "K")]
     pub vote_k: Option<usize>,
     /// Features made before instead of a network: .npy, [N, D], one row per Gaussian, such as
-    /// lang_feat.npy of lift-labels or features.npy.
+    /// lang_feat.npy of lift-labels or features.npy; or segment_index.npy of lift-labels, with segment_features.npy beside it.
     #[arg(long, value_name = "FILE.npy")]
     pub features: Option<PathBuf>,
     /// The picture.

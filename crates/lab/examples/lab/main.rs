@@ -11,6 +11,7 @@
 //! | `picture-effects` | first room (200), rooms (8) |
 //! | `poses` | poses of each scene, `own` or `any` unit, scenes (files, `synthetic:SEED` or `furnished:SEED`) |
 //! | `recognition` | scenes: `+FILE` for a room, `-FILE` for what is none, `@N` for N parts of it |
+//! | `refined-objects` | rooms (20), seed (777), then a scene with labels and instances, names of its labels, their map |
 //! | `room-edits` | rooms, seed, folder of a model (embedded), part of the names of lines (all) |
 //! | `self-supervised-terms` | experiment, steps (5), sums of terms (all) |
 //! | `yardsticks` | none |
@@ -23,6 +24,7 @@ mod objects_of_rooms;
 mod picture_effects;
 mod poses;
 mod recognition;
+mod refined_objects;
 mod room_edits;
 mod self_supervised_terms;
 mod yardsticks;
@@ -65,6 +67,7 @@ fn main() -> Result<()> {
         "picture-effects" => picture_effects::run(args),
         "poses" => poses::run(args),
         "recognition" => recognition::run(args),
+        "refined-objects" => refined_objects::run(args),
         "room-edits" => room_edits::run(args),
         "self-supervised-terms" => self_supervised_terms::run(args),
         "yardsticks" => yardsticks::run(),

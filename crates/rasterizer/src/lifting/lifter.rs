@@ -448,6 +448,16 @@ impl<'a> Lifter<'a> {
         self.spool(level)?.block(block)
     }
 
+    /// All weight of consecutive Gaussians, labeled or not.
+    pub(super) fn totals(&self, first: usize, count: usize) -> &[f64] {
+        &self.totals[first..first + count]
+    }
+
+    /// What the confidence of a Gaussian is worth: less where it may be a mirror image in a pane.
+    pub(super) fn confidence(&self, gaussian: usize, confidence: f32) -> f32 {
+        self.panes.as_ref().map_or(confidence, |panes| panes.confidence(gaussian, confidence))
+    }
+
     /// Makes the features of a granularity, and hands them out block by block, in order.
     ///
     /// # Errors
@@ -463,12 +473,10 @@ impl<'a> Lifter<'a> {
         for block in 0..self.num_blocks() {
             let weights = self.block(level, block)?;
             let first = block * self.block_rows;
-            let totals = &self.totals[first..first + weights.len()];
+            let totals = self.totals(first, weights.len());
             let mut features = finalise_block(&weights, &self.tables, totals, settings);
-            if let Some(panes) = &self.panes {
-                for (i, confidence) in features.confidence.iter_mut().enumerate() {
-                    *confidence = panes.confidence(first + i, *confidence);
-                }
+            for (i, confidence) in features.confidence.iter_mut().enumerate() {
+                *confidence = self.confidence(first + i, *confidence);
             }
             sink(features)?;
         }

@@ -15,6 +15,9 @@
 //! the budget nor on the number of threads. Gaussians keep their order; one without a label has a row
 //! of zeros.
 //!
+//! [`Lifter::indexed`] gives the same labels in two bytes a Gaussian: each has the number of a cluster of segments, and each
+//! cluster has a feature.
+//!
 //! Where a scene has [`Panes`] of glass, what names a pane and what names what is behind it are kept apart.
 //!
 //! [`fuse_crops`] makes the feature of a segment from three crops of a picture.
@@ -29,6 +32,7 @@ mod disagreement;
 mod error;
 mod finalise;
 mod fusion;
+mod index_form;
 mod lifter;
 mod panes;
 mod segment_map;
@@ -44,6 +48,7 @@ pub use disagreement::Disagreement;
 pub use error::LiftError;
 pub use finalise::{BlockFeatures, FinaliseSettings, finalise_block};
 pub use fusion::{FrameWeight, FusedFeatures, fuse_crops};
+pub use index_form::{IndexSettings, IndexedLabels, MAX_CLUSTERS, NO_CLUSTER};
 pub use lifter::{LabelledPicture, LiftSettings, Lifter, PictureReport, Robust};
 pub use panes::Panes;
 pub use segment_map::{NO_SEGMENT, SegmentMap};
