@@ -12,6 +12,9 @@ use scenesplat_scene::frame::Matrix3;
 use scenesplat_scene::{GaussianScene, TextTable};
 use std::borrow::Cow;
 
+/// Neighbors that vote on a label, where nobody says how many.
+pub const VOTE_K: usize = 25;
+
 /// Why a scene could not be labeled.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
