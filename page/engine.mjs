@@ -1,4 +1,4 @@
-// Builds what `scenesplat app` carries: dist/engine.wasm.gz, the library for browsers (crates/browser), with its hash. Takes
+// Builds what `scenesplat app` carries: cli/engine/engine.wasm.gz, the library for browsers (crates/browser), with its hash. Takes
 // minutes, rustup's target wasm32-unknown-unknown, and clang for the zstd library.
 // `node engine.mjs --check` only says whether the two are of each other.
 import { execFileSync } from "node:child_process";
@@ -7,15 +7,14 @@ import { readFileSync, writeFileSync } from "node:fs";
 import { homedir } from "node:os";
 import { gunzipSync, gzipSync } from "node:zlib";
 
-const here = new URL(".", import.meta.url).pathname;
 const root = new URL("..", import.meta.url).pathname;
 const sha256 = (bytes) => createHash("sha256").update(bytes).digest("hex");
 
 if (process.argv.includes("--check")) {
-  const found = sha256(gunzipSync(readFileSync(`${here}dist/engine.wasm.gz`)));
-  const noted = readFileSync(`${here}dist/engine.sha256`, "utf8").trim();
+  const found = sha256(gunzipSync(readFileSync(`${root}cli/engine/engine.wasm.gz`)));
+  const noted = readFileSync(`${root}cli/engine/engine.sha256`, "utf8").trim();
   if (found !== noted) {
-    console.error(`dist/engine.wasm.gz is ${found}, noted ${noted}: run npm run engine`);
+    console.error(`cli/engine/engine.wasm.gz is ${found}, noted ${noted}: run npm run engine`);
     process.exit(1);
   }
   console.log(`the library of the page is the noted one: ${noted}`);
@@ -30,7 +29,7 @@ if (process.argv.includes("--check")) {
   const folder = process.env.CARGO_TARGET_DIR ?? `${root}target`;
   const wasm = readFileSync(`${folder}/${target.join("/")}/scenesplat_browser.wasm`);
   const packed = gzipSync(wasm, { level: 9 });
-  writeFileSync(`${here}dist/engine.wasm.gz`, packed);
-  writeFileSync(`${here}dist/engine.sha256`, `${sha256(wasm)}\n`);
+  writeFileSync(`${root}cli/engine/engine.wasm.gz`, packed);
+  writeFileSync(`${root}cli/engine/engine.sha256`, `${sha256(wasm)}\n`);
   console.log(`${wasm.length} bytes, gzipped ${packed.length}, sha256 ${sha256(wasm)}`);
 }
