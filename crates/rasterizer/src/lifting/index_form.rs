@@ -25,8 +25,9 @@ const NEXT: usize = 4;
 /// How segments are clustered, and which Gaussians get a cluster.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct IndexSettings {
-    /// Segments of two pictures are joined if so much of what both pictures show of the smaller one lies in the other.
-    /// Above 0, at most 1.
+    /// Segments of two pictures are joined if so much of what both pictures show of either lies in both (IoU over
+    /// Gaussians). Above 0, at most 1. From above a half on, a segment has one partner in a picture at most; where any
+    /// overlap counts, pictures that are cut differently chain everything into one cluster.
     pub overlap: f32,
     /// Least cosine of their features, and of the mean features of the clusters that they are in. In `-1..=1`.
     pub cosine: f32,
@@ -37,7 +38,7 @@ pub struct IndexSettings {
 }
 
 impl Default for IndexSettings {
-    /// Half of the smaller segment, features with a cosine of 0.8, whatever was seen.
+    /// An IoU of a half, features with a cosine of 0.8, whatever was seen.
     fn default() -> Self {
         Self { overlap: 0.5, cosine: 0.8, min_coverage: 0.0, min_labelled_share: 0.0 }
     }
@@ -236,7 +237,7 @@ impl Overlaps {
         }
     }
 
-    /// Segments that lie on each other, with how much of the smaller one does: the most first, then by segment.
+    /// Segments that lie on each other, with their IoU: the largest first, then by segment.
     fn edges(&self, tables: &SegmentTables, least: f32) -> Vec<(f64, u32, u32)> {
         // How many of a segment's Gaussians another picture shows in a segment.
         let mut shown: HashMap<(u32, usize), u32> = HashMap::new();
@@ -246,7 +247,7 @@ impl Overlaps {
         }
         let overlap = |(&(a, b), &count): (&(u32, u32), &u32)| {
             let [of_a, of_b] = [shown[&(a, tables.view_of(b))], shown[&(b, tables.view_of(a))]];
-            (f64::from(count) / f64::from(of_a.min(of_b)), a, b)
+            (f64::from(count) / f64::from(of_a + of_b - count), a, b)
         };
         let mut edges: Vec<_> =
             self.0.iter().map(overlap).filter(|edge| edge.0 >= f64::from(least)).collect();

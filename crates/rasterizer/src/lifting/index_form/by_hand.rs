@@ -39,16 +39,18 @@ fn settings(overlap: f32, cosine: f32) -> IndexSettings {
 const SEEN: [&[u32]; 6] = [&[0, 2, 4], &[0, 2], &[0, 3], &[1, 3], &[1, 3, 4], &[]];
 
 #[test]
-fn overlaps_are_of_what_both_pictures_show_of_the_smaller_one() {
+fn overlaps_are_of_what_both_pictures_show() {
     let tables = tables(&[&[0.0, 90.0], &[0.0, 90.0], &[0.0]]);
     let found = overlaps(&SEEN, &tables);
-    // 2 of 2, although 0 has three; 0 and 3 have one of three in common; 4 has one of each of the others.
+    // 0 and 2 have two of three; 0 and 3 one of five; 4 has two, of which each other one has one.
+    let two_thirds = [(0, 2), (1, 3)].map(|(a, b)| (2.0 / 3.0, a, b));
+    let halves = [(0, 4), (1, 4), (2, 4), (3, 4)].map(|(a, b)| (0.5, a, b));
     let all = found.edges(&tables, 0.1);
-    let whole = [(0, 2), (0, 4), (1, 3), (1, 4), (2, 4), (3, 4)].map(|(a, b)| (1.0, a, b));
-    assert_eq!(all[..6], whole);
-    assert_eq!(all[6..], [(1.0 / 3.0, 0, 3)]);
-    assert_eq!(found.edges(&tables, 0.34), whole);
-    // Two Gaussians of three are sampled: the first and the fourth.
+    assert_eq!((&all[..2], &all[2..6]), (&two_thirds[..], &halves[..]));
+    assert_eq!(all[6..], [(0.2, 0, 3)]);
+    assert_eq!(found.edges(&tables, 0.5), all[..6]);
+    assert_eq!(found.edges(&tables, 0.51), two_thirds);
+    // Every third Gaussian is sampled: the first and the fourth.
     let mut some = Overlaps::default();
     some.add(&block(&SEEN), &tables, 3);
     assert_eq!(some.edges(&tables, 0.1).len(), 4);
