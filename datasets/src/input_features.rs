@@ -7,6 +7,8 @@ use scenesplat_scene::quaternion::drawn_axes;
 use scenesplat_scene::{FloorRow, Floors, GaussianScene};
 use serde::{Deserialize, Serialize};
 
+mod activation;
+
 /// With a larger share of a sample's rows below it, a level surface is no floor.
 const CROPPED: f64 = 0.2;
 
@@ -188,8 +190,8 @@ impl InputFeatures {
                 number: row,
                 coord: scene.coord[row],
                 color: std::array::from_fn(color),
-                opacity: scene.opacity(row),
-                scale: scene.scale(row),
+                opacity: activation::opacity(scene, row),
+                scale: activation::scale(scene, row),
                 quat: scene.quat[row],
                 normal: scene.normal.as_ref().map_or([0.0; 3], |normal| normal[row]),
             }

@@ -124,9 +124,11 @@ pub(super) fn choice(rows: usize, most: usize) -> Vec<usize> {
     if rows <= most {
         return (0..rows).collect();
     }
+    // Numbers of rows times numbers of rows need 64 bits.
+    let start = |i: usize| (i as u64 * rows as u64 / most as u64) as usize;
     (0..most)
         .map(|i| {
-            let (first, last) = (i * rows / most, (i + 1) * rows / most);
+            let (first, last) = (start(i), start(i + 1));
             first + (scramble(i as u64) % (last - first) as u64) as usize
         })
         .collect()
