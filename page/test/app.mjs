@@ -51,7 +51,7 @@ function hostile() {
   const splats = Buffer.alloc(32 * 2_000_001);
   for (let at = 0; at < splats.length; at += 32) {
     for (let k = 0; k < 3; k++) splats.writeFloatLE(0.01, at + 12 + 4 * k);
-    splats.fill(200, at + 24, at + 32);
+    splats.set([200, 200, 200, 255, 255, 128, 128, 128], at + 24);
   }
   return [
     ["empty.ply", Buffer.alloc(0), /empty.ply/],

@@ -17,8 +17,8 @@ pub struct AppReport {
 }
 
 /// Writes a page that takes a scene file, labels it in the browser with the network inside the program, and shows it as
-/// [`write_page`](super::write_page) does. It opens from disk, and its policy forbids requests. `engine`: this library for
-/// browsers, gzipped, as `npm run engine` in the folder `page` makes it.
+/// [`write_page`](super::write_page) does. It opens from disk, and its policy forbids requests.
+/// `engine`: this library for browsers, gzipped, as `npm run engine` in the folder `page` makes it.
 ///
 /// # Errors
 /// If the program was built with broken files, or the page cannot be written; then nothing is left behind.

@@ -49,8 +49,11 @@ async function handle(message: ToWorker): Promise<void> {
   say({ kind: "saved", format: message.format, bytes }, [bytes.buffer]);
 }
 
+/** One message after the other: a file may come while the library is still being compiled. */
+let turn = Promise.resolve();
+
 addEventListener("message", (event: MessageEvent<ToWorker>) => {
-  handle(event.data).catch((error: unknown) => {
+  turn = turn.then(() => handle(event.data)).catch((error: unknown) => {
     note(null);
     const message = error instanceof Error ? error.message : String(error);
     say({ kind: "failed", message, stopped: error instanceof Stopped });
