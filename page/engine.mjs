@@ -7,7 +7,6 @@ import { readFileSync, writeFileSync } from "node:fs";
 import { homedir } from "node:os";
 import { gunzipSync, gzipSync } from "node:zlib";
 
-const here = new URL(".", import.meta.url).pathname;
 const root = new URL("..", import.meta.url).pathname;
 const sha256 = (bytes) => createHash("sha256").update(bytes).digest("hex");
 
