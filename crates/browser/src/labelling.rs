@@ -122,6 +122,7 @@ fn labels(
         temperature: Some(calibration.temperature),
         min_probability: None,
         least_area: &least_area,
+        objects: None,
     };
     let options = ZeroShotOptions::default();
     let classes = Classes::Texts(text);
