@@ -89,7 +89,7 @@ fn clusters_do_not_drift_from_segment_to_segment() {
 
 #[test]
 fn a_picture_is_compared_with_the_next_ones_that_show_the_gaussian() {
-    let tables = tables(&[&[0.0]; 7]);
+    let tables = tables(&[[0.0].as_slice(); 7]);
     let edges = overlaps(&[&[0, 1, 2, 3, 4, 5, 6]], &tables).edges(&tables, 0.5);
     let of_first: Vec<u32> = edges.iter().filter(|edge| edge.1 == 0).map(|edge| edge.2).collect();
     assert_eq!(of_first, [1, 2, 3, 4]);
