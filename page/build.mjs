@@ -6,6 +6,7 @@ import { createHash } from "node:crypto";
 import { readFileSync, writeFileSync, mkdirSync } from "node:fs";
 import { gunzipSync, gzipSync } from "node:zlib";
 import { webAssembly } from "./wat.mjs";
+import { workers } from "./workers.mjs";
 
 const here = new URL(".", import.meta.url).pathname;
 const bundle = async (entry, format) => {
@@ -20,7 +21,7 @@ const bundle = async (entry, format) => {
     legalComments: "none",
     charset: "ascii",
     logLevel: "warning",
-    plugins: [webAssembly],
+    plugins: [webAssembly, workers],
   });
   return out.outputFiles[0].contents;
 };

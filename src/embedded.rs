@@ -6,9 +6,18 @@ use crate::network::config::NetworkConfig;
 use crate::network::error::NetworkError;
 use candle_core::Tensor;
 use scenesplat_rooms::Vocabulary;
+use scenesplat_scene::Asset;
 use std::collections::BTreeMap;
 
-const WEIGHTS: &[u8] = include_bytes!("../assets/embedded/model.safetensors");
+static WEIGHTS: Asset = Asset::new("model.safetensors", inside());
+
+/// A browser's library comes without the weights; its page brings them.
+const fn inside() -> Option<&'static [u8]> {
+    #[cfg(not(target_family = "wasm"))]
+    return Some(include_bytes!("../assets/embedded/model.safetensors"));
+    #[cfg(target_family = "wasm")]
+    None
+}
 const CONFIG: &str = include_str!("../assets/embedded/config.json");
 
 /// Name that receipts and messages give it.
@@ -32,7 +41,7 @@ pub fn config() -> Result<NetworkConfig, NetworkError> {
 /// # Errors
 /// If the program was built with a broken file.
 pub fn tensors() -> Result<BTreeMap<String, Tensor>, NetworkError> {
-    let tensors = candle_core::safetensors::load_buffer(WEIGHTS, &candle_core::Device::Cpu)?;
+    let tensors = candle_core::safetensors::load_buffer(stored()?, &candle_core::Device::Cpu)?;
     Ok(tensors.into_iter().collect())
 }
 
@@ -47,12 +56,24 @@ pub fn vocabulary() -> Result<Vocabulary, NetworkError> {
 /// SHA-256 of the weights, hexadecimal.
 pub fn sha256() -> String {
     use sha2::Digest;
-    sha2::Sha256::digest(WEIGHTS).iter().map(|byte| format!("{byte:02x}")).collect()
+    sha2::Sha256::digest(stored().unwrap_or_default())
+        .iter()
+        .map(|byte| format!("{byte:02x}"))
+        .collect()
 }
 
 /// Bytes of the weights as they are stored.
 pub fn stored_bytes() -> usize {
-    WEIGHTS.len()
+    stored().unwrap_or_default().len()
+}
+
+/// The file of the weights.
+pub fn weights() -> &'static Asset {
+    &WEIGHTS
+}
+
+fn stored() -> candle_core::Result<&'static [u8]> {
+    weights().bytes().map_err(candle_core::Error::Msg)
 }
 
 #[cfg(test)]

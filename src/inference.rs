@@ -198,7 +198,7 @@ impl<'a> SceneEncoder<'a> {
             tta: 1,
             codes: None,
             anchor: Anchor::Box,
-            spill_folder: std::env::temp_dir(),
+            spill_folder: temporary_folder(),
             alignment: AlignmentSettings { square: network.is_square(), ..Default::default() },
         }
     }
@@ -474,6 +474,11 @@ impl<'a> SceneEncoder<'a> {
         }
         Ok(Budget { max_voxels, spill })
     }
+}
+
+/// Where features go that do not fit into memory; a browser has no such place, and asking it for one would stop the program.
+fn temporary_folder() -> PathBuf {
+    if cfg!(target_family = "wasm") { PathBuf::new() } else { std::env::temp_dir() }
 }
 
 /// An input as the network takes it.

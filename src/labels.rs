@@ -11,6 +11,9 @@ use scenesplat_objects::surfaces::{AgreeSettings, ClassShares, SceneSurfaces, ag
 use scenesplat_scene::TextTable;
 use std::borrow::Cow;
 
+/// Neighbors that vote on a label, where nobody says how many.
+pub const VOTE_K: usize = 25;
+
 /// Why a scene could not be labeled.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]

@@ -24,6 +24,7 @@
 //! # }
 //! ```
 
+#[cfg(not(target_family = "wasm"))]
 pub mod adaptation;
 pub mod alignment;
 pub mod calibration;
@@ -32,8 +33,10 @@ pub mod device;
 pub mod effect_costs;
 pub mod embedded;
 pub mod evaluation;
+#[cfg(not(target_family = "wasm"))]
 pub mod experiment;
 pub mod familiarity;
+#[cfg(not(target_family = "wasm"))]
 pub mod feature_codes;
 pub mod inference;
 pub mod input;
@@ -47,16 +50,20 @@ mod object_picture;
 pub mod outputs;
 pub mod page;
 pub mod page_kit;
+#[cfg(not(target_family = "wasm"))]
 pub mod picture_networks;
 pub mod preview;
 pub mod principal;
+#[cfg(not(target_family = "wasm"))]
 pub mod probe;
 pub mod query;
 pub mod recognition;
+#[cfg(not(target_family = "wasm"))]
 pub mod reconstruction;
 pub mod setting;
 pub mod taught;
 pub mod text;
+#[cfg(not(target_family = "wasm"))]
 pub mod text_model;
 pub mod yardsticks;
 
@@ -64,29 +71,36 @@ pub use alignment::{Alignment, AlignmentSettings};
 pub use inference::{EncodeError, SceneEncoder, SceneFeatures};
 pub use network::{Network, NetworkConfig, NetworkOutput, WeightOptions, Weights};
 pub use object_picture::object_picture;
+#[cfg(not(target_family = "wasm"))]
 pub use scenesplat_collection as collection;
 pub use scenesplat_datasets as datasets;
 pub use scenesplat_kernels as kernels;
+#[cfg(not(target_family = "wasm"))]
 pub use scenesplat_losses as losses;
 pub use scenesplat_metrics as metrics;
 pub use scenesplat_models as models;
 pub use scenesplat_objects as objects;
+#[cfg(not(target_family = "wasm"))]
 pub use scenesplat_optimisation as optimisation;
 pub use scenesplat_rasterizer as rasterizer;
 pub use scenesplat_rooms as rooms;
 pub use scenesplat_scene as scene;
 pub use scenesplat_text as phrases;
+#[cfg(not(target_family = "wasm"))]
 pub use scenesplat_trainers as trainers;
+#[cfg(not(target_family = "wasm"))]
 pub use scenesplat_vision as vision;
 pub use setting::{Setting, SettingError};
 
 /// The types that nearly every program needs.
 pub mod prelude {
     pub use crate::datasets;
+    #[cfg(not(target_family = "wasm"))]
     pub use crate::losses::{Loss, LossInput, Objective};
     pub use crate::models::{Backbone, Forward, ModelConfig, ParamStore, PointTransformerV3Config};
     pub use crate::scene::{GaussianScene, ReadOptions, open_scene};
     pub use crate::text::read_text_table;
+    #[cfg(not(target_family = "wasm"))]
     pub use crate::trainers::{
         Callback, DataModule, Evaluator, Event, Flow, Progress, TrainError, Trainer, TrainerConfig,
         TrainingModule,

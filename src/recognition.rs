@@ -36,6 +36,9 @@ pub const KNOWN: f32 = 0.25;
 /// A surface that is less probable stays without a label where labels are to be trusted.
 pub const SURE: f32 = 0.5;
 
+/// With fewer Gaussians it is not judged whether a scene is known.
+pub const FEWEST: usize = 10_000;
+
 /// Where a smaller share of the Gaussians is known, what is known of a scene is chance.
 pub const LEAST_SHARE: f64 = 0.2;
 

@@ -11,8 +11,7 @@ use scenesplat::setting::Passes;
 use std::fmt::Display;
 use std::path::PathBuf;
 
-/// Neighbors that vote, where neither `--vote-k` nor `--setting` says how many.
-pub const VOTE_K: usize = 25;
+pub use scenesplat::labels::VOTE_K;
 
 impl Inference {
     /// The flags with the parts of `--setting` among them, and `--vote-k` too.

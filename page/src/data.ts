@@ -1,5 +1,5 @@
 // What the page shows: blocks of numbers, and what they mean. They stand in the file as base64 text, each deflated, or
-// come in chunks from the program that serves the page.
+// come in chunks from the program that serves the page, or were made in the page itself.
 
 import { Codes } from "./codes";
 
@@ -91,20 +91,25 @@ export interface SceneData {
 
 /** How much has come, 0..=1. */
 export type Arrived = (share: number) => void;
+/** Blocks that are there already. */
+export type Parts = Map<string, Uint8Array>;
 
 /** Where blocks come from. */
 class Blocks {
   private done = 0;
   private total: number;
 
-  constructor(private chunks: Record<string, number[]> | null, private arrived: Arrived) {
-    const sizes = chunks === null
+  constructor(
+    private chunks: Record<string, number[]> | null, private arrived: Arrived, private parts: Parts | null = null,
+  ) {
+    const sizes = parts !== null ? [] : chunks === null
       ? Array.from(document.querySelectorAll('script[id^="block-"]'), (e) => e.textContent?.length ?? 0)
       : Object.values(chunks).flat();
     this.total = Math.max(1, sizes.reduce((sum, size) => sum + size, 0));
   }
 
   async bytes(name: string): Promise<Uint8Array> {
+    if (this.parts !== null) return this.parts.get(name) ?? new Uint8Array(0);
     if (this.chunks === null) return this.unpacked(name);
     const sizes = Object.hasOwn(this.chunks, name) ? this.chunks[name] : [];
     const out = new Uint8Array(sizes.reduce((sum, size) => sum + size, 0));
@@ -118,24 +123,29 @@ class Blocks {
   }
 
   private async unpacked(name: string): Promise<Uint8Array> {
-    const element = document.getElementById(`block-${name}`);
-    const text = element?.textContent ?? "";
-    // Text and bytes need not be there twice.
-    element?.remove();
-    if (text === "") return new Uint8Array(0);
-    const binary = atob(text);
-    const packed = new Uint8Array(binary.length);
-    for (let i = 0; i < packed.length; i++) packed[i] = binary.charCodeAt(i);
-    const stream = new Blob([packed]).stream().pipeThrough(new DecompressionStream("deflate"));
-    const out = new Uint8Array(await new Response(stream).arrayBuffer());
-    this.add(text.length);
-    return out;
+    const { bytes, length } = await carried(name, "deflate");
+    this.add(length);
+    return bytes;
   }
 
   private add(size: number): void {
     this.done += size;
     this.arrived(Math.min(1, this.done / this.total));
   }
+}
+
+/** A block that the page carries, and the length of its text; it can be read once. */
+export async function carried(name: string, packing: CompressionFormat): Promise<{ bytes: Uint8Array<ArrayBuffer>; length: number }> {
+  const element = document.getElementById(`block-${name}`);
+  const text = element?.textContent ?? "";
+  // Text and bytes need not be there twice.
+  element?.remove();
+  if (text === "") return { bytes: new Uint8Array(0), length: 0 };
+  const binary = atob(text);
+  const packed = new Uint8Array(binary.length);
+  for (let i = 0; i < packed.length; i++) packed[i] = binary.charCodeAt(i);
+  const stream = new Blob([packed]).stream().pipeThrough(new DecompressionStream(packing));
+  return { bytes: new Uint8Array(await new Response(stream).arrayBuffer()), length: text.length };
 }
 
 /** A chunk of a block from the program that serves the page. */
@@ -169,14 +179,14 @@ function floats(from: Uint8Array): Float32Array {
   return new Float32Array(from.buffer, from.byteOffset, from.byteLength / 4);
 }
 
-export async function readAbout(): Promise<About> {
-  const bytes = await new Blocks(null, () => undefined).bytes("about");
+export async function readAbout(parts: Parts | null = null): Promise<About> {
+  const bytes = await new Blocks(null, () => undefined, parts).bytes("about");
   return JSON.parse(new TextDecoder().decode(bytes)) as About;
 }
 
-export async function readScene(about: About, arrived: Arrived): Promise<SceneData> {
+export async function readScene(about: About, arrived: Arrived, parts: Parts | null = null): Promise<SceneData> {
   const n = about.count;
-  const blocks = new Blocks(about.chunks, arrived);
+  const blocks = new Blocks(about.chunks, arrived, parts);
   const placed = await blocks.bytes("position");
   const position = new Float32Array(3 * n);
   for (let axis = 0; axis < 3; axis++) {

@@ -1,7 +1,8 @@
 // The page: what is on it and what happens when it is used.
 
 import { MODES, paint, viridis, type Mode } from "./colors";
-import { readAbout, readScene, type About, type SceneData } from "./data";
+import { startApp, type Saver } from "./app/app";
+import { carried, readAbout, readScene, type About, type Parts, type SceneData } from "./data";
 import { byId, css, element, short, thousands } from "./kit/dom";
 import { csv, ply, save } from "./exporting";
 import { readHash, writeHash } from "./hash";
@@ -26,8 +27,18 @@ class Page {
   private book: PhraseBook;
   readonly queryTimes: number[] = [];
 
-  constructor(private data: SceneData) {
+  /** Ends what listens to the document. */
+  private ending = new AbortController();
+
+  /** `saver`: writes the scene as a file, where the page has it. */
+  constructor(private data: SceneData, private saver: Saver | null) {
     this.book = new PhraseBook(data);
+  }
+
+  /** Another scene takes the place of this one. */
+  close(): void {
+    this.ending.abort();
+    this.stage?.close();
   }
 
   async start(): Promise<void> {
@@ -37,8 +48,10 @@ class Page {
     this.controls();
     this.restore();
     // An address that is put into the open page.
-    addEventListener("hashchange", () => this.restore());
-    setInterval(() => this.share(), 500);
+    const { signal } = this.ending;
+    addEventListener("hashchange", () => this.restore(), { signal });
+    const sharing = setInterval(() => this.share(), 500);
+    signal.addEventListener("abort", () => clearInterval(sharing));
   }
 
   /** The view that the address says. */
@@ -135,7 +148,31 @@ class Page {
     byId("home").addEventListener("click", () => this.stage?.navigator.goHome());
     byId("all").addEventListener("click", () => this.showAll());
     byId("fold").addEventListener("click", () => document.body.classList.toggle("folded"));
-    document.addEventListener("keydown", (e) => this.key(e));
+    document.addEventListener("keydown", (e) => this.key(e), { signal: this.ending.signal });
+    this.savers();
+  }
+
+  /** Buttons that save what is selected or, without a selection, the classes that are shown. */
+  private savers(): void {
+    const { saver } = this;
+    if (saver === null) return;
+    const buttons = (["ply", "spz"] as const).map((format) => {
+      const button = element("button", { text: `Save .${format}`, title: "the selection or, without one, the classes that are shown" });
+      button.addEventListener("click", () => saver(format, this.kept()));
+      return button;
+    });
+    byId("legend").after(element("section", { className: "buttons" }, buttons));
+  }
+
+  /** For each Gaussian of the scene whether it is selected or shown. */
+  private kept(): Uint8Array {
+    const { about: { count, total }, rows, label } = this.data;
+    const keep = new Uint8Array(total);
+    for (let i = 0; i < count; i++) {
+      const is = this.selected !== null ? this.selected[i] === 1 : !this.hidden.has(label[i]);
+      if (is) keep[rows.length > 0 ? rows[i] : i] = 1;
+    }
+    return keep;
   }
 
   private key(e: KeyboardEvent): void {
@@ -385,9 +422,13 @@ function tell(text: string): void {
   box.hidden = false;
 }
 
-async function start(): Promise<void> {
+/** The scene that is shown. */
+let shown: Page | null = null;
+
+/** Shows a scene: that of `parts` or the one that the page carries. */
+async function show(parts: Parts | null, saver: Saver | null): Promise<void> {
   const began = performance.now();
-  const about = await readAbout();
+  const about = await readAbout(parts);
   counts(about);
   const canvas = document.createElement("canvas");
   if (canvas.getContext("webgl2") === null) {
@@ -407,8 +448,9 @@ async function start(): Promise<void> {
   const data = await readScene(about, (share) => {
     byId<HTMLProgressElement>("arrived").value = share;
     byId("loading-text").textContent = `opening the scene … ${Math.floor(100 * share)} %`;
-  });
-  const page = new Page(data);
+  }, parts);
+  const page = new Page(data, saver);
+  shown = page;
   await page.start();
   byId("loading").hidden = true;
   const hooks = page.hooks;
@@ -417,6 +459,26 @@ async function start(): Promise<void> {
     Object.assign(window, { scenesplat: { ...hooks, ready: true, webgl: true, loadMs: performance.now() - began } });
   };
   wait();
+}
+
+/** A page that carries the library instead of a scene takes files. */
+async function start(): Promise<void> {
+  if (document.getElementById("block-engine") === null) return show(null, null);
+  const attribution = (await carried("attribution", "deflate")).bytes;
+  byId("licenses").append(`\n----\n\n${new TextDecoder().decode(attribution)}`);
+  const viewer = [...document.body.children].filter((e) => e.id !== "message" && e.id !== "loading" && !(e instanceof HTMLScriptElement));
+  const fresh = viewer.map((e) => e.cloneNode(true) as Element);
+  let there = viewer;
+  return startApp(async (parts, saver) => {
+    // Markup as it was: nothing of the last scene is left, nor what listened to it.
+    shown?.close();
+    const next = fresh.map((e) => e.cloneNode(true) as Element);
+    there.forEach((e, i) => e.replaceWith(next[i]));
+    there = next;
+    history.replaceState(null, "", location.pathname);
+    document.body.classList.remove("empty");
+    await show(parts, saver);
+  });
 }
 
 start().catch((error: unknown) => {

@@ -25,6 +25,7 @@ export class Stage {
   private outlines = new Group();
   private dirty = 4;
   private last = 0;
+  private resizing = new ResizeObserver(() => this.resize());
 
   private constructor(
     private data: SceneData, private canvas: HTMLCanvasElement, onClick: (row: number) => void,
@@ -42,7 +43,7 @@ export class Stage {
     const capacity = textureRows(n);
     this.paint = new Uint8Array(4 * capacity);
     this.rgba = new RgbaArray({ array: this.paint, count: n, capacity });
-    new ResizeObserver(() => this.resize()).observe(canvas);
+    this.resizing.observe(canvas);
   }
 
   static async open(data: SceneData, canvas: HTMLCanvasElement, onClick: (row: number) => void): Promise<Stage> {
@@ -75,6 +76,15 @@ export class Stage {
     stage.homeView();
     stage.renderer.setAnimationLoop((time) => stage.frame(time));
     return stage;
+  }
+
+  /** Gives the graphics processor back. */
+  close(): void {
+    this.renderer.setAnimationLoop(null);
+    this.resizing.disconnect();
+    this.mesh.dispose();
+    this.renderer.dispose();
+    this.renderer.forceContextLoss();
   }
 
   /** Shows what `paint` holds now. */

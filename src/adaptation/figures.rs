@@ -3,7 +3,7 @@
 use super::error::AdaptError;
 use crate::calibration::Calibration;
 use crate::inference::{EncodeProgress, SceneFeatures};
-use crate::labels::{Agreement, Classes, label_agreeing_with_vote};
+use crate::labels::{Agreement, Classes, VOTE_K, label_agreeing_with_vote};
 use crate::text::text_rows;
 use crate::{AlignmentSettings, EncodeError, Network, SceneEncoder};
 use scenesplat_metrics::{
@@ -15,8 +15,6 @@ use scenesplat_rooms::{Capture, SyntheticRoomSettings, generate};
 use scenesplat_scene::{GaussianScene, TextTable, Up};
 use serde::Serialize;
 
-/// Neighbors that vote, as where commands label a scene.
-const VOTE_K: usize = 25;
 /// Seeds of rooms that are scored, and of those that a temperature is fitted to and tried on: none is trained on.
 const SCORED: u64 = 1000;
 const FITTED: [u64; 2] = [5001, 5002];

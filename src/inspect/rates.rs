@@ -41,6 +41,8 @@ pub(super) fn rates(isa: Isa) -> Rates {
     match isa {
         Isa::Avx512 | Isa::Avx512Bf16 | Isa::Amx => avx512,
         Isa::Avx2 => Rates { multiply_adds: avx512.multiply_adds / 2.0, ..avx512 },
+        #[cfg(target_arch = "wasm32")]
+        Isa::Simd128 => Rates { multiply_adds: avx512.multiply_adds / 8.0, ..avx512 },
         Isa::Portable => {
             Rates { multiply_adds: avx512.multiply_adds / 16.0, voxel: 16e-6, row: 4e-6 }
         }

@@ -32,6 +32,9 @@ pub enum PageError {
         /// How many.
         count: usize,
     },
+    /// The program was built with a broken file.
+    #[error("the program is damaged: {0}")]
+    Damaged(String),
     /// Codes cannot be made of the features.
     #[error(transparent)]
     Codes(#[from] CodeError),

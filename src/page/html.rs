@@ -12,17 +12,35 @@ const STYLE: &str = include_str!("../../page/src/page.css");
 const BODY: &str = include_str!("../../page/src/body.html");
 const LOADER: &str = include_str!("../../page/src/loader.js");
 
+/// A block that is compressed already.
+pub(super) struct Carried<'a> {
+    pub(super) name: &'static str,
+    pub(super) bytes: &'a [u8],
+}
+
 /// The page with some blocks in it, and the bytes of these as text.
 pub(super) fn assemble(
     title: &str,
     parts: &[(&'static str, Vec<u8>)],
     rights: Rights,
 ) -> (String, Vec<(String, usize)>) {
+    assemble_with(title, parts, &[], rights)
+}
+
+/// As [`assemble`], with blocks that are compressed already.
+pub(super) fn assemble_with(
+    title: &str,
+    parts: &[(&'static str, Vec<u8>)],
+    carried: &[Carried<'_>],
+    rights: Rights,
+) -> (String, Vec<(String, usize)>) {
     let mut blocks: Vec<Block> = parts
         .par_iter()
         .map(|(name, bytes)| Block::bytes(format!("block-{name}"), &deflated(bytes)))
         .collect();
-    blocks.push(Block::bytes("block-program".to_owned(), PROGRAM));
+    let program = Carried { name: "program", bytes: PROGRAM };
+    let carried = || carried.iter().chain([&program]);
+    blocks.extend(carried().map(|c| Block::bytes(format!("block-{}", c.name), c.bytes)));
     let body = BODY.replace(
         "<pre id=\"licenses\"></pre>",
         &format!("<pre id=\"licenses\">{}</pre>", escaped(super::LICENSES)),
@@ -36,7 +54,7 @@ pub(super) fn assemble(
         script: LOADER,
         rights,
     };
-    let names = parts.iter().map(|(name, _)| *name).chain(["program"]);
+    let names = parts.iter().map(|(name, _)| *name).chain(carried().map(|c| c.name));
     let sizes = names.zip(&blocks).map(|(name, block)| (name.to_owned(), block.len())).collect();
     (document.html(), sizes)
 }

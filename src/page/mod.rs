@@ -5,25 +5,32 @@
 //! queries. The page loads nothing: its policy forbids it. Names and texts of any file are data in it, never markup.
 //! [`PageServer`] gives the same page in chunks to a browser on this machine, for scenes too large for a file.
 
+#[cfg(not(target_family = "wasm"))]
+mod app;
 mod blocks;
 mod codes;
 mod error;
 mod html;
 mod pack;
 mod relations;
+#[cfg(not(target_family = "wasm"))]
 mod served;
 mod words;
 
 use crate::inference::SceneFeatures;
 use crate::page_kit::Rights;
+#[cfg(not(target_family = "wasm"))]
+pub use app::{AppReport, write_app};
 pub use error::PageError;
 use pack::Pack;
 use scenesplat_objects::Catalogue;
 use scenesplat_rooms::Vocabulary;
 use scenesplat_scene::frame::Matrix3;
 use scenesplat_scene::{AtomicFile, GaussianScene, TextTable};
+#[cfg(not(target_family = "wasm"))]
 pub use served::{PageServer, Refusal, ServeEvent, Served, ServedPage};
 use std::path::Path;
+pub use words::{classes_near_phrases, near_classes};
 
 /// The licenses of what the page is made of besides our own code.
 pub const LICENSES: &str = include_str!("../../page/dist/LICENSES.txt");
@@ -92,6 +99,19 @@ pub struct PageReport {
     pub relations: usize,
     /// See `relations`.
     pub relations_left_out: usize,
+}
+
+/// The blocks that a page reads, by name, for a program that shows them itself: what it reads first is `about`.
+///
+/// # Errors
+/// If arrays do not fit each other, or there is nothing to show.
+pub fn page_parts(
+    input: &PageInput<'_>,
+    settings: &PageSettings,
+) -> Result<Vec<(&'static str, Vec<u8>)>, PageError> {
+    let Pack { about, mut parts, .. } = Pack::of(input, settings)?;
+    parts.push(("about", about.to_string().into_bytes()));
+    Ok(parts)
 }
 
 /// Writes a page.

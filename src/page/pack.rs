@@ -53,7 +53,7 @@ impl Pack {
         }
         let related = Related::of(input.catalogue.map_or(&[], |c| &c.objects));
         let about = about(input, &rows, &packed.about, codes.as_ref(), &words, &related);
-        parts.push(("phrases", words.phrases.join("\n").into_bytes()));
+        parts.push(("phrases", words.phrases.as_bytes().to_vec()));
         parts.push(("near", words.near));
         let code_cosine = codes.as_ref().map(|c| c.mean_cosine);
         if let Some(codes) = codes {
@@ -147,7 +147,7 @@ fn about(
         "places": place_words(),
         "codes": codes.map(|c| json!({ "width": c.width, "slots": c.count })),
         "hasScores": input.scores.is_some(),
-        "phrases": words.phrases.len(),
+        "phrases": words.phrases.lines().count(),
         "remarks": remarks,
         "chunks": Value::Null,
     })

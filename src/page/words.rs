@@ -4,6 +4,7 @@ use super::PageError;
 use rayon::prelude::*;
 use scenesplat_rooms::Group;
 use scenesplat_rooms::{CLASSES, ColorName, Vocabulary};
+use scenesplat_scene::Asset;
 use scenesplat_text::{PhraseTable, foreign_names};
 use serde_json::{Value, json};
 
@@ -12,10 +13,58 @@ const NEAR: usize = 4;
 /// A class has one byte, and 0 is none.
 const MOST_CLASSES: usize = 255;
 
+/// `near` of the network's own classes, where the vectors of the phrases are not there: in a browser.
+static NEAR_CLASSES: Asset = Asset::new("classes near phrases", None);
+
+/// What a browser's library has to be given before it packs a page.
+pub fn near_classes() -> &'static Asset {
+    &NEAR_CLASSES
+}
+
+/// What [`near_classes`] is given.
+///
+/// # Errors
+/// If the phrase table is broken.
+pub fn classes_near_phrases() -> Result<Vec<u8>, PageError> {
+    near_of(CLASSES.len(), &class_anchors(PhraseTable::embedded()?))
+}
+
+/// Names and synonyms of the vocabulary with their classes.
+fn class_anchors(table: &PhraseTable) -> Vec<(usize, Vec<f32>)> {
+    Vocabulary::class_phrases()
+        .filter_map(|(phrase, class)| Some((class.index(), table.row(phrase)?)))
+        .collect()
+}
+
+/// Of each phrase of the table the classes that it is nearest to, see [`Words::near`].
+fn near_of(classes: usize, anchors: &[(usize, Vec<f32>)]) -> Result<Vec<u8>, PageError> {
+    let table = PhraseTable::embedded()?;
+    let near = table.phrases().par_iter().map(|phrase| {
+        let mut best = vec![0f32; classes];
+        if let Some(row) = table.row(phrase) {
+            for (class, anchor) in anchors {
+                let dot: f32 = row.iter().zip(anchor).map(|(a, b)| a * b).sum();
+                best[*class] = best[*class].max(dot);
+            }
+        }
+        let mut order: Vec<usize> = (0..best.len()).collect();
+        order.sort_by(|&a, &b| best[b].total_cmp(&best[a]).then(a.cmp(&b)));
+        let mut out = [0u8; 2 * NEAR];
+        for (place, &class) in order.iter().take(NEAR).enumerate().filter(|(_, c)| best[**c] > 0.0)
+        {
+            out[2 * place] = class as u8 + 1;
+            out[2 * place + 1] = (best[class].min(1.0) * 255.0).round() as u8;
+        }
+        out
+    });
+    Ok(near.collect::<Vec<_>>().into_iter().flatten().collect())
+}
+
 /// Words of a page.
 #[derive(Default)]
 pub(super) struct Words {
-    pub(super) phrases: Vec<String>,
+    /// One a line.
+    pub(super) phrases: &'static str,
     /// Of each phrase four times: class + 1, similarity · 255.
     pub(super) near: Vec<u8>,
     /// Name and members of each group of classes.
@@ -32,39 +81,19 @@ impl Words {
         if names.is_empty() || names.len() > MOST_CLASSES {
             return Ok(Self::default());
         }
-        let table = PhraseTable::embedded()?;
-        // Names and synonyms with their classes.
-        let mut anchors: Vec<(usize, Vec<f32>)> = Vec::new();
-        if vocabulary.is_some() {
-            for (phrase, class) in Vocabulary::class_phrases() {
-                anchors.extend(table.row(phrase).map(|row| (class.index(), row)));
-            }
-        } else {
-            for (class, name) in names.iter().enumerate() {
+        let near = match (vocabulary.is_some(), NEAR_CLASSES.bytes()) {
+            (true, Ok(known)) => known.to_vec(),
+            (true, Err(_)) => classes_near_phrases()?,
+            (false, _) => {
+                let table = PhraseTable::embedded()?;
                 // A name of unknown words is near to nothing.
-                anchors.extend(table.understand(name).ok().map(|u| (class, u.row)));
+                let anchor = |name: &String| table.understand(name).ok().map(|u| u.row);
+                let anchors = names.iter().enumerate();
+                let anchors: Vec<_> =
+                    anchors.filter_map(|(class, name)| Some((class, anchor(name)?))).collect();
+                near_of(names.len(), &anchors)?
             }
-        }
-        let near = table.phrases().par_iter().map(|phrase| {
-            let mut best = vec![0f32; names.len()];
-            if let Some(row) = table.row(phrase) {
-                for (class, anchor) in &anchors {
-                    let dot: f32 = row.iter().zip(anchor).map(|(a, b)| a * b).sum();
-                    best[*class] = best[*class].max(dot);
-                }
-            }
-            let mut order: Vec<usize> = (0..best.len()).collect();
-            order.sort_by(|&a, &b| best[b].total_cmp(&best[a]).then(a.cmp(&b)));
-            let mut out = [0u8; 2 * NEAR];
-            for (place, &class) in
-                order.iter().take(NEAR).enumerate().filter(|(_, c)| best[**c] > 0.0)
-            {
-                out[2 * place] = class as u8 + 1;
-                out[2 * place + 1] = (best[class].min(1.0) * 255.0).round() as u8;
-            }
-            out
-        });
-        let near: Vec<u8> = near.collect::<Vec<_>>().into_iter().flatten().collect();
+        };
         let (mut groups, mut colors) = (Vec::new(), Vec::new());
         let mut foreign = Default::default();
         if vocabulary.is_some() {
@@ -80,7 +109,7 @@ impl Words {
             let named = named.into_iter().map(|(name, class)| (name, class.index()));
             foreign = (articles.to_vec(), named.collect());
         }
-        Ok(Self { phrases: table.phrases().to_vec(), near, groups, colors, foreign })
+        Ok(Self { phrases: PhraseTable::embedded_phrases(), near, groups, colors, foreign })
     }
 }
 

@@ -2,6 +2,7 @@
 //! training stopped and saved.
 
 mod adapt;
+mod app;
 mod bench;
 mod chunk;
 mod classes;
@@ -95,6 +96,8 @@ enum Command {
     Objects(objects::Args),
     /// Writes one HTML file to look at a scene and query it, without a server.
     View(view::Args),
+    /// Writes one HTML file that labels scenes in a browser, by itself and offline.
+    App(app::Args),
     /// Says what phrases mean to the network inside the program, and writes text embeddings of them.
     Text(text::Args),
     /// Makes language labels of Gaussians from posed pictures: segments, their features, lifting.
@@ -246,6 +249,7 @@ impl Command {
             Self::Query(args) => query::run(args, line),
             Self::Objects(args) => objects::run(args, line),
             Self::View(args) => view::run(args, line),
+            Self::App(args) => app::run(args, line),
             Self::Text(args) => text::run(args),
             Self::CollectLabels(args) => collect_labels::run(args, line),
             Self::LiftLabels(args) => lift_labels::run(args, line),

@@ -7,11 +7,8 @@ use anyhow::Result;
 use scenesplat::SceneFeatures;
 use scenesplat::objects::surfaces::Surfaces;
 use scenesplat::outputs::OpenedScene;
-use scenesplat::recognition::{KNOWN, Recognition, Recognized};
+use scenesplat::recognition::{FEWEST, KNOWN, Recognition, Recognized};
 use scenesplat::scene::squareness;
-
-/// With fewer Gaussians planes cannot be told, and rooms would be refused.
-const FEWEST: usize = 10_000;
 
 impl Session<'_> {
     /// How probable it is that each Gaussian is part of a room as the network inside the program, whose features
