@@ -169,7 +169,11 @@ fn labelled_cloud(path: &Path, label: Option<&str>) -> bool {
     if read.is_err() || !is_ply(&head) {
         return false;
     }
-    let Ok(ply) = PlyFile::open(path) else { return false };
+    PlyFile::open(path).is_ok_and(|ply| is_labelled_cloud(&ply, label))
+}
+
+/// Whether the file holds points with labels rather than splats. `label`: the column that is said to hold them.
+pub fn is_labelled_cloud(ply: &PlyFile, label: Option<&str>) -> bool {
     let Some(vertex) = ply.element("vertex") else { return false };
     let has = |names: &[&str]| names.iter().any(|n| vertex.has(n));
     vertex.has("x")

@@ -2,12 +2,14 @@
 
 use crate::labelling::{Labelled, Stage, Tell, label};
 use scenesplat::inference::EncodeError;
+use scenesplat::input::is_labelled_cloud;
 use scenesplat::labels::LabelError;
 use scenesplat::network::{NetworkError, WeightOptions, Weights};
 use scenesplat::objects::ObjectError;
 use scenesplat::page::{PageError, PageInput, PageSettings, near_classes, page_parts};
 #[cfg(any(test, target_family = "wasm"))]
 use scenesplat::scene::SceneFormat;
+use scenesplat::scene::formats::ply::{PlyFile, is_ply};
 #[cfg(target_family = "wasm")]
 use scenesplat::scene::{GaussianScene, WriteOptions, formats::written_scene};
 use scenesplat::scene::{LoadedScene, ReadOptions, SceneError, open_scene_owned};
@@ -34,6 +36,15 @@ pub enum EngineError {
     TooLarge {
         /// Gaussians of the scene.
         count: usize,
+    },
+    /// Points without sizes.
+    #[error(
+        "{name}: is a point cloud with labels, not a scene of Gaussians; the program makes Gaussians of it (scenesplat view \
+         FILE, or scenesplat convert FILE scene.ply and drop that)"
+    )]
+    Points {
+        /// The file.
+        name: String,
     },
     /// Something is asked about a scene before there is one.
     #[error("no scene was {0} yet")]
@@ -121,6 +132,12 @@ impl Engine {
     ) -> Result<Value, EngineError> {
         (self.loaded, self.labelled) = (None, None);
         tell(Stage::Read, 0.0);
+        let is_cloud = is_ply(&bytes)
+            && PlyFile::from_bytes(&bytes, Path::new(name))
+                .is_ok_and(|ply| is_labelled_cloud(&ply, None));
+        if is_cloud {
+            return Err(EngineError::Points { name: name.to_owned() });
+        }
         let loaded = open_scene_owned(bytes, Path::new(name), &ReadOptions::default())?;
         if loaded.scene.len() > MOST_GAUSSIANS {
             return Err(EngineError::TooLarge { count: loaded.scene.len() });
