@@ -234,7 +234,7 @@ mod tests {
         };
         assert_eq!(values(&scene(4, None)), [1.0, 0.0, 0.0, 0.0, 0.0, 1.0, 1.0, 0.0]);
         let error = read_features(&path, &scene(3, None)).unwrap_err();
-        assert!(matches!(error, InputError::OtherScene { count: 4, rows: 3, .. }), "{error}");
+        assert!(matches!(error, InputError::OtherScene { count: 4, .. }), "{error}");
     }
 
     #[test]
