@@ -133,8 +133,8 @@ fn of_clusters(
         }
         _ => return Err(InputError::OtherScene { path: path.to_owned(), count, rows: expected }),
     };
-    let rows = rows.into_iter().map(f32::from).collect();
-    Ok(SceneFeatures::from_clusters(rows, dim, &cluster_of)?)
+    let rows: Vec<f32> = rows.into_iter().map(f32::from).collect();
+    Ok(SceneFeatures::from_clusters(&rows, dim, &cluster_of)?)
 }
 
 /// As [`read_features`], as a scene carries them: rounded to half precision. `rows`: those of the

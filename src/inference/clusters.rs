@@ -12,7 +12,7 @@ impl SceneFeatures {
     /// # Errors
     /// If there is no Gaussian, the number of values is no multiple of `width`, or a cluster has no row.
     pub fn from_clusters(
-        rows: Vec<f32>,
+        rows: &[f32],
         width: usize,
         cluster_of: &[Option<u16>],
     ) -> Result<Self, EncodeError> {
@@ -57,18 +57,18 @@ mod tests {
     fn gaussians_of_a_cluster_share_a_row() {
         let rows = vec![3.0, 4.0, 0.0, 2.0, -1.0, 0.0];
         let of = [Some(2), None, Some(0), Some(2), None];
-        let found = SceneFeatures::from_clusters(rows.clone(), 2, &of).unwrap();
+        let found = SceneFeatures::from_clusters(&rows, 2, &of).unwrap();
         // In the order of the first Gaussian; cluster 1 is of none.
         assert_eq!((found.inverse(), found.sampled()), (&[0, 1, 2, 0, 1][..], &[0, 1, 2][..]));
         assert_eq!((found.len(), found.num_slots(), found.width()), (5, 3, 2));
         assert_eq!(found.slot_rows(0..3).unwrap(), [-1.0, 0.0, 0.0, 0.0, 0.6, 0.8]);
         assert_eq!(found.gaussian_rows(2..4).unwrap(), [0.6, 0.8, -1.0, 0.0]);
-        let all = SceneFeatures::from_clusters(rows.clone(), 2, &[Some(1)]).unwrap();
+        let all = SceneFeatures::from_clusters(&rows, 2, &[Some(1)]).unwrap();
         assert_eq!((all.num_slots(), all.slot_rows(0..1).unwrap()), (1, vec![0.0, 1.0]));
-        let none = SceneFeatures::from_clusters(Vec::new(), 2, &[None; 3]).unwrap();
+        let none = SceneFeatures::from_clusters(&[], 2, &[None; 3]).unwrap();
         assert_eq!((none.num_slots(), none.slot_rows(0..1).unwrap()), (1, vec![0.0; 2]));
         let refused = |width: usize, of: &[Option<u16>], part: &str| {
-            let error = SceneFeatures::from_clusters(rows.clone(), width, of).unwrap_err();
+            let error = SceneFeatures::from_clusters(&rows, width, of).unwrap_err();
             assert!(error.to_string().contains(part), "{error}");
         };
         refused(2, &[Some(3)], "cluster 3, there are 3");

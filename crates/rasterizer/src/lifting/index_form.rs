@@ -241,10 +241,10 @@ impl Overlaps {
     fn edges(&self, tables: &SegmentTables, least: f32) -> Vec<(f64, u32, u32)> {
         // How many of a segment's Gaussians another picture shows in a segment.
         let mut shown: HashMap<(u32, usize), u32> = HashMap::new();
-        for (&(a, b), &count) in &self.0 {
+        self.0.iter().for_each(|(&(a, b), &count)| {
             *shown.entry((a, tables.view_of(b))).or_default() += count;
             *shown.entry((b, tables.view_of(a))).or_default() += count;
-        }
+        });
         let overlap = |(&(a, b), &count): (&(u32, u32), &u32)| {
             let [of_a, of_b] = [shown[&(a, tables.view_of(b))], shown[&(b, tables.view_of(a))]];
             (f64::from(count) / f64::from(of_a + of_b - count), a, b)
