@@ -83,7 +83,6 @@ fn an_adapted_network_is_a_model_that_commands_take() {
 }
 
 #[test]
-#[ignore = "four adaptations of the network inside the program"]
 fn labels_come_with_names_or_maps() {
     let folder = Folder::new();
     let labels = half_labeled(&folder);
@@ -155,7 +154,6 @@ fn what_cannot_be_learned_is_refused() {
 
 #[cfg(target_os = "linux")]
 #[test]
-#[ignore = "two adaptations of the network inside the program"]
 fn a_stopped_adaptation_goes_on_with_the_same_bits() {
     let folder = Folder::new();
     half_labeled(&folder);
