@@ -88,41 +88,18 @@ fn share(part: usize, of: usize) -> f64 {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::catalogue::Object;
-    use crate::{Floor, UprightBox};
-
-    fn object(label: usize, rows: std::ops::Range<u32>) -> Object {
-        let bounds = UprightBox { center: [0.0; 3], size: [1.0; 3], yaw: 0.0 };
-        Object {
-            id: 0,
-            class: label.to_string(),
-            label,
-            score: None,
-            count: rows.len(),
-            bounds,
-            position: [0.0; 3],
-            corners: bounds.corners(),
-            volume: 1.0,
-            above_floor: 0.0,
-            wall_distance: None,
-            rows: rows.collect(),
-        }
-    }
+    use crate::made::{catalogue, object};
 
     #[test]
     fn a_match_needs_the_class_and_more_than_half_of_both() {
         // Three true things of ten Gaussians: two chairs (1) and a table (2).
         let instances: Vec<i32> = (0..30).map(|row| row / 10).collect();
         let labels: Vec<i32> = (0..30).map(|row| if row < 20 { 1 } else { 2 }).collect();
-        let found = Catalogue {
+        let found = catalogue(
             // Eight of the first; one that covers the second and what lies around it; the third as a chair.
-            objects: vec![object(1, 0..8), object(1, 5..25), object(1, 20..30)],
-            floor: Floor { height: 0.0, is_labelled: true, is_given: false },
-            left_over: 0,
-            small_instances: 0,
-            nameless_instances: 0,
-            gaussians: 30,
-        };
+            vec![object(1, 0..8), object(1, 5..25), object(1, 20..30)],
+            30,
+        );
         let agreement = Agreement::of(&found, &instances, &labels, 1);
         assert_eq!(agreement.matches, [Match { found: 0, truth: 0, iou: 0.8 }]);
         assert_eq!((&agreement.wrong[..], &agreement.missed[..]), (&[1, 2][..], &[1, 2][..]));
@@ -133,14 +110,7 @@ mod tests {
 
     #[test]
     fn an_instance_of_just_enough_gaussians_is_missed() {
-        let nothing = Catalogue {
-            objects: Vec::new(),
-            floor: Floor { height: 0.0, is_labelled: true, is_given: false },
-            left_over: 0,
-            small_instances: 0,
-            nameless_instances: 0,
-            gaussians: 30,
-        };
+        let nothing = catalogue(Vec::new(), 30);
         // Instances 0, 1 and 2 of 9, 10 and 11 Gaussians; those of 10 or more are asked for.
         let instances: Vec<i32> =
             (0..30).map(|row| i32::from(row >= 9) + i32::from(row >= 19)).collect();
@@ -153,15 +123,11 @@ mod tests {
         // Instance 4 of six rows, class 2, whose rows 6 and 7 have none; 7 of three rows, class 0; 9 of four, class 1.
         let instances = [4, 4, 4, 4, 4, 4, -1, -1, 7, 7, 7, 9, 9, 9, 9, 5];
         let labels = [2, 2, 2, 2, 0, 0, 2, 2, 0, 0, 0, 1, 1, 1, 1];
-        let found = Catalogue {
+        let found = catalogue(
             // Five of six and two of nothing: 5 / 8. All of a small one. Two of four: 2 / 4 is not above a half.
-            objects: vec![object(2, 1..8), object(0, 8..11), object(1, 13..15), object(1, 15..18)],
-            floor: Floor { height: 0.0, is_labelled: true, is_given: false },
-            left_over: 0,
-            small_instances: 0,
-            nameless_instances: 0,
-            gaussians: 18,
-        };
+            vec![object(2, 1..8), object(0, 8..11), object(1, 13..15), object(1, 15..18)],
+            18,
+        );
         let agreed = Agreement::of(&found, &instances, &labels, 4);
         let matches =
             [Match { found: 0, truth: 4, iou: 0.625 }, Match { found: 1, truth: 7, iou: 1.0 }];

@@ -37,6 +37,8 @@ mod cells;
 mod error;
 mod fragments;
 mod input;
+#[cfg(test)]
+mod made;
 mod panels;
 mod panoptic;
 mod refine;

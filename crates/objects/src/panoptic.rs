@@ -81,33 +81,11 @@ impl OfClass {
 mod tests {
     use super::*;
     use crate::agreement::Match;
-    use crate::catalogue::Object;
-    use crate::{Floor, UprightBox};
+    use crate::made::{catalogue, object};
 
     fn found(objects: &[(usize, std::ops::Range<u32>)]) -> Catalogue {
-        let bounds = UprightBox { center: [0.0; 3], size: [1.0; 3], yaw: 0.0 };
-        let object = |(label, rows): &(usize, std::ops::Range<u32>)| Object {
-            id: 0,
-            class: label.to_string(),
-            label: *label,
-            score: None,
-            count: rows.len(),
-            bounds,
-            position: [0.0; 3],
-            corners: bounds.corners(),
-            volume: 1.0,
-            above_floor: 0.0,
-            wall_distance: None,
-            rows: rows.clone().collect(),
-        };
-        Catalogue {
-            objects: objects.iter().map(object).collect(),
-            floor: Floor { height: 0.0, is_labelled: true, is_given: false },
-            left_over: 0,
-            small_instances: 0,
-            nameless_instances: 0,
-            gaussians: 40,
-        }
+        let objects = objects.iter().map(|(label, rows)| object(*label, rows.clone()));
+        catalogue(objects.collect(), 40)
     }
 
     #[test]

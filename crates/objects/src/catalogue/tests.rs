@@ -1,6 +1,7 @@
 //! Objects of scenes made by hand.
 
 use super::*;
+use crate::made::input;
 use scenesplat_scene::GaussianScene;
 
 #[test]
@@ -13,17 +14,7 @@ fn only_labeled_gaussians_of_instances_are_taken_from_what_is_left_over() {
     let labels = [0, 0, -1, -1, 0, 0, 0];
     let instances = [3, 3, 3, 3, -1, -1, -1];
     let names = ["chair".to_owned()];
-    let input = ObjectInput {
-        scene: &scene,
-        labels: &labels,
-        scores: None,
-        instances: Some(&instances),
-        features: None,
-        names: &names,
-        upright: [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]],
-        metres_per_unit: 1.0,
-        floor: None,
-    };
+    let input = ObjectInput { instances: Some(&instances), ..input(&scene, &labels, &names) };
     let settings = ObjectSettings { min_count: 1, ..ObjectSettings::default() };
     let found = find_objects(&input, &settings).unwrap();
     assert_eq!(found.objects.iter().map(|o| o.count).collect::<Vec<_>>(), [4]);
@@ -31,24 +22,8 @@ fn only_labeled_gaussians_of_instances_are_taken_from_what_is_left_over() {
     assert_eq!(found.left_over, 3);
 }
 
-const AS_IT_IS: [[f64; 3]; 3] = [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]];
-
 fn scene(coord: &[[f32; 3]]) -> GaussianScene {
     GaussianScene { coord: coord.to_vec(), ..GaussianScene::default() }
-}
-
-fn input<'a>(scene: &'a GaussianScene, labels: &'a [i32], names: &'a [String]) -> ObjectInput<'a> {
-    ObjectInput {
-        scene,
-        labels,
-        scores: None,
-        instances: None,
-        features: None,
-        names,
-        upright: AS_IT_IS,
-        metres_per_unit: 1.0,
-        floor: None,
-    }
 }
 
 /// The eight corners of a box.

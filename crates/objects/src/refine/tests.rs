@@ -1,6 +1,7 @@
 //! Rows of Gaussians a decimeter apart, whose pieces are as long as is said.
 
 use super::*;
+use crate::made::input;
 use scenesplat_rooms::{CLASSES, SyntheticRoomSettings, generate};
 use scenesplat_scene::GaussianScene;
 
@@ -18,20 +19,6 @@ const ROW: ObjectSettings = ObjectSettings {
 
 fn names() -> Vec<String> {
     ["a", "b", "c"].map(str::to_owned).to_vec()
-}
-
-fn input<'a>(scene: &'a GaussianScene, labels: &'a [i32], names: &'a [String]) -> ObjectInput<'a> {
-    ObjectInput {
-        scene,
-        labels,
-        scores: None,
-        instances: None,
-        features: None,
-        names,
-        upright: [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]],
-        metres_per_unit: 1.0,
-        floor: None,
-    }
 }
 
 fn refined_by(runs: &[Run], settings: RefineSettings) -> Refined {

@@ -241,6 +241,7 @@ impl Overlaps {
     fn edges(&self, tables: &SegmentTables, least: f32) -> Vec<(f64, u32, u32)> {
         // How many of a segment's Gaussians another picture shows in a segment.
         let mut shown: HashMap<(u32, usize), u32> = HashMap::new();
+        // Sums: in whatever order a hash map gives its pairs.
         self.0.iter().for_each(|(&(a, b), &count)| {
             *shown.entry((a, tables.view_of(b))).or_default() += count;
             *shown.entry((b, tables.view_of(a))).or_default() += count;
