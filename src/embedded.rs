@@ -53,7 +53,7 @@ pub fn vocabulary() -> Result<Vocabulary, NetworkError> {
     Ok(Vocabulary::new(config()?.model.out_channels())?)
 }
 
-/// SHA-256 of the weights, hexadecimal.
+/// SHA-256 of the weights, hexadecimal; in a browser, before it has them, that of nothing.
 pub fn sha256() -> String {
     use sha2::Digest;
     sha2::Sha256::digest(stored().unwrap_or_default())

@@ -18,6 +18,7 @@ pub struct AppReport {
 
 /// Writes a page that takes a scene file, labels it in the browser with the network inside the program, and shows it as
 /// [`write_page`](super::write_page) does. It opens from disk, and its policy forbids requests.
+///
 /// `engine`: this library for browsers, gzipped, as `npm run engine` in the folder `page` makes it.
 ///
 /// # Errors

@@ -83,7 +83,7 @@ pub struct LiftArgs {
           require_equals = true)]
     pub antialiased: Option<bool>,
     /// What is written. full: a feature for each Gaussian. index: segments are clustered once over all pictures; each Gaussian
-    /// has the number of a cluster, two bytes, and each cluster a feature. Faster and much smaller; not for training.
+    /// has the number of a cluster, two bytes, and each cluster a feature. Much smaller, of less quality, and not for training.
     #[arg(long, value_enum, default_value_t = FormArg::Full)]
     pub form: FormArg,
     /// Which pixels label a Gaussian.
