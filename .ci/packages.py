@@ -13,6 +13,7 @@ from pathlib import Path
 # The registry refuses more than 10 MB compressed. Weights do not get smaller, texts get four times smaller.
 LARGEST = 12_000_000
 INCLUDED = re.compile(r'include(?:_str|_bytes)?!\(\s*"([^"]+)"')
+TEST_MODULE = re.compile(r"^#\[cfg\(test\)\]\n(?:pub\(crate\) )?mod \w+ \{", re.M)
 TESTS = re.compile(r"(^|/)(tests?|benches|examples|by_hand)(/|\.rs$)")
 
 
@@ -36,7 +37,7 @@ def problems(package):
         if not name.endswith(".rs") or TESTS.search(name):
             continue
         # What only tests build in may lie outside: packages are built, not tested.
-        text = (root / name).read_text().split("#[cfg(test)]")[0]
+        text = TEST_MODULE.split((root / name).read_text())[0]
         for included in INCLUDED.findall(text):
             target = (root / name).parent / included
             try:

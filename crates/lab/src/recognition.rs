@@ -67,7 +67,7 @@ impl Examples<'_> {
             told(all.len());
             Ok(())
         };
-        for capture in [Capture::Made, Capture::Scan, Capture::Model, Capture::Depth] {
+        for capture in [Capture::Made, Capture::Scan, Capture::Model] {
             for number in 0..ROOMS {
                 let scene = room(seed, number, capture)?;
                 let part = part(seed, 100 + number, capture)?;

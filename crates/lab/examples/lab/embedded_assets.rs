@@ -230,14 +230,14 @@ fn least_surfaces(furniture: Option<&Furniture>) -> anyhow::Result<BTreeMap<Stri
     Ok(out)
 }
 
-/// Rooms, flats and other places, as made, as scans, as points of models and as depth cameras leave them.
+/// Rooms and flats, as made, as scans and as points of models.
 fn each_room(
     network: &Network,
     seed: u64,
     furniture: Option<&Furniture>,
     mut of: impl FnMut(&GaussianScene, &SceneFeatures) -> anyhow::Result<()>,
 ) -> anyhow::Result<()> {
-    for capture in [Capture::Made, Capture::Scan, Capture::Model, Capture::Depth] {
+    for capture in [Capture::Made, Capture::Scan, Capture::Model] {
         for room in 0..ROOMS {
             let scene = generate(&settings_of(seed, room, capture, furniture))?.scene;
             of(&scene, &SceneEncoder::new(network).encode(&scene, &mut |_| Ok(()))?)?;
@@ -258,7 +258,6 @@ fn settings_of(
         capture,
         seen_share: if capture == Capture::Scan { 0.5 } else { 0.0 },
         flat_share: 0.3,
-        public_share: 0.3,
         ..SyntheticRoomSettings::default()
     };
     let Some((path, split)) = furniture else { return settings };

@@ -68,7 +68,6 @@ fn settings(seed: u64, room: u64, capture: Capture) -> SyntheticRoomSettings {
         capture,
         seen_share,
         flat_share: 0.3,
-        public_share: 0.3,
         ..SyntheticRoomSettings::default()
     }
 }
