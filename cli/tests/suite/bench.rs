@@ -45,7 +45,9 @@ fn rows(only: &[&str], more: &str) -> Vec<Value> {
         }
         let number = |field: &str| row[field].as_f64().unwrap();
         assert!(number("median_s") >= number("min_s") && number("min_s") > 0.0, "{row}");
-        assert!(number("samples") >= 5.0 && number("floor_s") > 0.0, "{row}");
+        // A long row is timed once.
+        assert!(number("samples") >= if number("median_s") < 0.6 { 5.0 } else { 1.0 }, "{row}");
+        assert!(number("floor_s") > 0.0, "{row}");
         assert!(number("ratio") >= 0.5, "faster than the machine can be: {row}");
         assert!((number("ratio") - number("median_s") / number("floor_s")).abs() < 1e-6, "{row}");
         assert!(number("flop") + number("bytes") > 0.0, "{row}");

@@ -11,6 +11,7 @@ const COARSE: &str = "voxel=0.4,k=1";
 /// A machine that was calibrated.
 struct Machine {
     folder: Folder,
+    /// What commands label: as small as can be, since the front's times are by hand.
     scene: String,
     fronts: String,
     receipt: String,
@@ -25,13 +26,13 @@ impl Machine {
     fn calibrated() -> Self {
         let folder = Folder::new();
         let (scene, fronts, receipt) =
-            (folder.room("room.ply", 3000, 3), folder.at("fronts"), folder.at("receipt.json"));
+            (folder.room("small.ply", 300, 3), folder.at("fronts"), folder.at("receipt.json"));
         let grid = format!("reference = \"{FINE}\"\npoints = [\"{COARSE}\"]\n");
         let grid = folder.write("grid.toml", grid);
         let mut machine =
             Self { folder, scene, fronts, receipt, stored: PathBuf::new(), front: Value::Null };
         let more = "--sizes 1500 5000 --repeats 1 --threads 2";
-        let scene = &machine.scene;
+        let scene = machine.folder.room("room.ply", 3000, 3);
         done(&machine.run(&format!("pareto --calibrate --grid {grid} --scenes {scene} {more}")));
         let stored = std::fs::read_dir(&machine.fronts).unwrap().next().unwrap().unwrap();
         machine.stored = stored.path();

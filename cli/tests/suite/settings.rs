@@ -112,7 +112,7 @@ fn votes_and_networks_are_parts_too() {
 
 #[test]
 fn labels_agree_on_surfaces_by_themselves_or_as_asked_for() {
-    let case = Case::new(20_000);
+    let case = Case::new(8000);
     let auto = case.own("segment", "labels.npy", "");
     let counts = case.receipt("surfaces").unwrap();
     assert_eq!(counts.split(' ').count(), 5, "{counts}");
@@ -129,7 +129,7 @@ fn labels_agree_on_surfaces_by_themselves_or_as_asked_for() {
 
 #[test]
 fn objects_refine_labels_if_that_is_asked_for() {
-    let case = Case::new(20_000);
+    let case = Case::new(8000);
     let plain = case.own("segment", "labels.npy", "");
     assert_eq!(case.receipt("refine"), None);
     assert_eq!(plain, case.own("segment", "labels.npy", "--refine off"));
@@ -140,8 +140,9 @@ fn objects_refine_labels_if_that_is_asked_for() {
     let alone = |more: &str| case.own("segment", "labels.npy", &format!("--surfaces off {more}"));
     assert_ne!(alone(""), alone("--refine objects"));
     let figures = |more: &str| case.evaluated(more)["miou"].clone();
-    assert_ne!(figures(""), figures("--refine objects"));
-    assert_eq!(figures(""), figures("--refine off"));
+    let unrefined = figures("");
+    assert_ne!(unrefined, figures("--refine objects"));
+    assert_eq!(unrefined, figures("--refine off"));
     // Objects are made of the same labels.
     assert_ne!(
         case.own("objects", "instances.npy", "--pieces"),
@@ -166,7 +167,7 @@ fn objects_refine_labels_if_that_is_asked_for() {
 
 #[test]
 fn what_is_less_probable_stays_unknown() {
-    let case = Case::new(20_000);
+    let case = Case::new(8000);
     let unknown = |more: &str| {
         case.own("segment", "labels.npy", more);
         labels(case.out("labels.npy")).iter().filter(|label| **label < 0).count()
@@ -179,7 +180,7 @@ fn what_is_less_probable_stays_unknown() {
     assert_eq!(temperature, stored);
     assert_eq!((found[0], unknown("--surfaces off")), (0, 0));
     assert!(found[0] < found[1] && found[1] < found[2] && found[2] < found[3], "{found:?}");
-    assert!(found[1] < 10_000 && found[3] > 15_000, "{found:?}");
+    assert!(found[1] < 4000 && found[3] > 6000, "{found:?}");
     // Withheld labels have no say on surfaces, and get none there.
     assert_eq!(unknown("--min-probability 0.9"), found[2]);
     // In evaluations they are wrong.

@@ -160,7 +160,8 @@ fn a_student_learns_from_a_teacher() {
     has(first["teacher"]["content"].as_str().unwrap(), &["sha256"]);
     // A student is a network like any other.
     let (model, out) = (folder.at("one/model"), folder.at("labels"));
-    done(&run!("evaluate synthetic:1:3 --weights {model} --text vocabulary --out {out}"));
+    let room = folder.room("room.ply", 900, 3);
+    done(&run!("segment {room} --weights {model} --text vocabulary --out {out}"));
 }
 
 #[test]

@@ -20,17 +20,42 @@ pub(super) fn directions(count: usize, dim: usize) -> Vec<Vec<f64>> {
         .collect();
     for _ in 0..ROUNDS {
         let before = vectors.clone();
+        let cosines = products(&before);
         for (i, vector) in vectors.iter_mut().enumerate() {
             for (j, other) in before.iter().enumerate() {
                 if i != j {
-                    let cosine = dot(&before[i], other);
-                    add_times(vector, other, -0.25 * cosine);
+                    add_times(vector, other, -0.25 * cosines[i * count + j]);
                 }
             }
             *vector = normalised(std::mem::take(vector));
         }
     }
     vectors
+}
+
+/// Dot products of all pairs of rows, `[rows, rows]`, with the bits of [`dot`]: each sum goes through its terms in order, and
+/// several sums go on side by side, since one alone waits for its last addition.
+fn products(rows: &[Vec<f64>]) -> Vec<f64> {
+    const SUMS: usize = 8;
+    let count = rows.len();
+    let mut all = vec![0.0; count * count];
+    for (i, row) in rows.iter().enumerate() {
+        for from in (0..=i).step_by(SUMS) {
+            // What is beyond the last row repeats it, and is not kept.
+            let others: [&[f64]; SUMS] = std::array::from_fn(|at| &rows[(from + at).min(i)][..]);
+            let mut sums = [-0.0; SUMS];
+            for (k, value) in row.iter().enumerate() {
+                for (sum, other) in sums.iter_mut().zip(others) {
+                    *sum += value * other[k];
+                }
+            }
+            for (j, sum) in (from..=i).zip(sums) {
+                all[i * count + j] = sum;
+                all[j * count + i] = sum;
+            }
+        }
+    }
+    all
 }
 
 fn dot(a: &[f64], b: &[f64]) -> f64 {
@@ -66,8 +91,13 @@ mod tests {
         {
             let vectors = directions(count, dim);
             let mut worst = 0.0_f64;
+            let products = products(&vectors);
             for i in 0..count {
                 assert!((dot(&vectors[i], &vectors[i]) - 1.0).abs() < 1e-12);
+                for j in 0..count {
+                    let product = dot(&vectors[i], &vectors[j]);
+                    assert_eq!(products[i * count + j].to_bits(), product.to_bits());
+                }
                 for j in 0..i {
                     worst = worst.max(dot(&vectors[i], &vectors[j]).abs());
                 }

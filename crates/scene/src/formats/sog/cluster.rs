@@ -288,7 +288,9 @@ fn evenly(rows: &[u32], count: usize) -> Vec<u32> {
     if count >= rows.len() {
         return rows.to_vec();
     }
-    (0..count).map(|i| rows[(2 * i + 1) * rows.len() / (2 * count)]).collect()
+    // In 64 bits: the products of large scenes do not fit into the 32 of WebAssembly.
+    let at = |i: usize| (2 * i as u64 + 1) * rows.len() as u64 / (2 * count as u64);
+    (0..count).map(|i| rows[at(i) as usize]).collect()
 }
 
 /// Each centroid in the middle of its rows; those without any go to the rows that are farthest
