@@ -85,8 +85,8 @@ fn networks_of_points_train_and_run_like_the_others() {
         assert_eq!((whole.len(), whole.width(), whole.summary.tiles), (scene.len(), 41, 1));
         encoder.halo = 4;
         // The smallest limit that is accepted has room for the smallest tiles only.
-        let parts = (1..4000).find_map(|step| {
-            encoder.max_memory = Some(step << 18);
+        let parts = (1..1000).find_map(|step| {
+            encoder.max_memory = Some(step << 20);
             encoder.encode(&scene, &mut |_| Ok(())).ok()
         });
         let parts = parts.expect("some limit is enough");
