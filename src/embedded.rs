@@ -8,6 +8,7 @@ use candle_core::Tensor;
 use scenesplat_rooms::Vocabulary;
 use scenesplat_scene::Asset;
 use std::collections::BTreeMap;
+use std::sync::OnceLock;
 
 static WEIGHTS: Asset = Asset::new("model.safetensors", inside());
 
@@ -45,12 +46,17 @@ pub fn tensors() -> Result<BTreeMap<String, Tensor>, NetworkError> {
     Ok(tensors.into_iter().collect())
 }
 
-/// The words it was trained with: its text side, which is no text encoder.
+/// The words it was trained with: its text side, which is no text encoder. They are made once.
 ///
 /// # Errors
 /// If the network is narrower than a vocabulary can be.
 pub fn vocabulary() -> Result<Vocabulary, NetworkError> {
-    Ok(Vocabulary::new(config()?.model.out_channels())?)
+    static WORDS: OnceLock<Vocabulary> = OnceLock::new();
+    if let Some(words) = WORDS.get() {
+        return Ok(words.clone());
+    }
+    let words = Vocabulary::new(config()?.model.out_channels())?;
+    Ok(WORDS.get_or_init(|| words).clone())
 }
 
 /// SHA-256 of the weights, hexadecimal; in a browser, before it has them, that of nothing.

@@ -6,7 +6,7 @@ use crate::terminal::print;
 use anyhow::Result;
 use scenesplat::models::convert::{Renamed, rename};
 use scenesplat::models::weights::{Shapes, WeightFile, resolve, summarize};
-use scenesplat::models::{LoadPolicy, ModelConfig};
+use scenesplat::models::{Compute, LoadPolicy, ModelConfig};
 use scenesplat::network::{
     Network, NetworkChoice, NetworkConfig, WeightOptions, Weights as Source, config_beside,
     network_of,
@@ -84,7 +84,10 @@ pub fn run(args: &Args, line: &str) -> Result<()> {
         },
     };
     let mut fits = Vec::new();
-    for (name, config) in candidates {
+    for (name, mut config) in candidates {
+        // Nothing is computed with it.
+        let compute = config.model.backbone.get().compute();
+        config.model = config.model.with_compute(Compute { fold: false, ..compute });
         match Network::load(config, &Source::File(args.checkpoint.clone()), options.clone()) {
             Ok(network) => {
                 let report = network.report();

@@ -116,7 +116,7 @@ fn labels_come_with_names_or_maps() {
     refused(&named("--steps 2"), 2, &["an adaptation of other settings", "--anew"]);
     let map = "--label-names @own/classes.json --class-map @map.toml --steps 1";
     let mapped = format!("@room --labels @half.npy {map} --out @out");
-    refused(&adapt(&folder, &mapped), 2, &["an adaptation of other names of labels"]);
+    refused(&adapt(&folder, &mapped), 2, &["an adaptation of other labels"]);
     let said = told(&adapt(&folder, &format!("{mapped} --anew")));
     has(&said, &["the training of something else is removed"]);
     assert_eq!(known("out"), only(&|name| ["chair", "wall"].contains(&name)));

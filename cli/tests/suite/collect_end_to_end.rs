@@ -23,6 +23,8 @@ pub struct Size {
     pub views: usize,
     pub picture: [u32; 2],
     pub room: u64,
+    /// Size of the voxels that the network is trained at, meters.
+    pub grid_size: f64,
     pub epochs: usize,
 }
 
@@ -34,9 +36,17 @@ fn size() -> Size {
             views: 60,
             picture: [640, 480],
             room: number("SCENESPLAT_COLLECT_ROOM").unwrap_or(0),
+            grid_size: 0.15,
             epochs: 60,
         },
-        _ => Size { gaussians: 12_000, views: 20, picture: [160, 120], room: 0, epochs: 25 },
+        _ => Size {
+            gaussians: 12_000,
+            views: 20,
+            picture: [160, 120],
+            room: 0,
+            grid_size: 0.25,
+            epochs: 15,
+        },
     }
 }
 
@@ -257,9 +267,10 @@ fn the_index_form_is_small_and_costs_quality() {
 }
 
 /// Trains from the folder `train`; f-mIoU of the network on the room.
-pub fn train(dir: &Path, epochs: usize) -> f64 {
+pub fn train(dir: &Path, grid_size: f64, epochs: usize) -> f64 {
     let experiment = EXPERIMENT
         .replace("EPOCHS", &epochs.to_string())
+        .replace("GRID", &grid_size.to_string())
         .replace("WIDTH", &ColourStatistics::WIDTH.to_string());
     let at = |name: &str| dir.join(name).to_str().unwrap().to_owned();
     std::fs::write(dir.join("experiment.toml"), experiment).unwrap();
@@ -300,20 +311,20 @@ fn labels_of_pictures_score_and_teach() {
         copy(&Path::new(&masks).join(file));
     }
     let began = Instant::now();
-    let trained = train(dir, size.epochs);
+    let trained = train(dir, size.grid_size, size.epochs);
     let seconds = began.elapsed().as_secs_f64();
     println!("network: f-mIoU {trained:.4} after {} epochs, {seconds:.1} s", size.epochs);
-    // Measured 0.86 without a vote (0.79 with one, which blurs so few Gaussians), 0.72, 0.37; nothing learned is 0.03.
+    // Measured 0.86 without a vote (0.79 with one, which blurs so few Gaussians), 0.72, 0.23; nothing learned is 0.03.
     assert!(unvoted >= 0.8 && true_masks >= 0.7, "true masks: {unvoted}, {true_masks}");
     assert!(superpixels >= 0.6, "superpixels: {superpixels}");
-    assert!(trained >= 0.25, "network: {trained}");
+    assert!(trained >= 0.15, "network: {trained}");
 }
 
 const EXPERIMENT: &str = r#"
 task = "language_pretraining"
 targets = "features"
 [model]
-grid_size = 0.15
+grid_size = GRID
 stride = [2]
 enc_depths = [1, 1]
 enc_channels = [32, 64]
@@ -334,7 +345,7 @@ source = { type = "generic", root = "train" }
 transforms = [
     { type = "center_shift", apply_z = true },
     { type = "random_rotate_target_angle", angles = [0.0, 0.5, 1.0, 1.5], probability = 1.0 },
-    { type = "grid_sample", grid_size = 0.15 },
+    { type = "grid_sample", grid_size = GRID },
     { type = "center_shift", apply_z = false },
 ]
 repeat = 4

@@ -46,7 +46,7 @@ impl Shot {
 
 /// Eight pictures of a small room, with depths, and what `collect-labels` and `train` want of it.
 pub(crate) fn film(folder: &Folder) -> Vec<Shot> {
-    let size = Size { gaussians: 4000, views: 8, picture: [WIDTH, HEIGHT], room: 0, epochs: 1 };
+    let size = Size { gaussians: 4000, views: 8, picture: [WIDTH, HEIGHT], room: 0, grid_size: 0.15, epochs: 1 };
     world(folder.root(), &size);
     let mut cameras = open_cameras(&folder.path("cameras.json")).unwrap().cameras;
     for camera in &mut cameras {
@@ -309,7 +309,7 @@ fn frames_of_benchmarks_become_scenes_labels_and_networks() {
             std::fs::copy(folder.path("labels").join(name), folder.path("train/room").join(name))
                 .unwrap();
         }
-        let f_miou = train(folder.root(), 1);
+        let f_miou = train(folder.root(), 0.15, 1);
         assert!((0.0..=1.0).contains(&f_miou), "{layout}: {f_miou}");
         for made in ["scan", "frames", "made", "labels", "train", "run", "score"] {
             std::fs::remove_dir_all(folder.path(made)).unwrap();

@@ -28,7 +28,8 @@ fn a_strange_scene_is_said_to_be_one_and_stays_unknown_if_asked() {
     folder.scene("room.ply", &plain_room());
     folder.scene("heap.ply", &heap());
     let run = |command: &str, out: &str| {
-        let words = format!("{command} --out @{out}").replace('@', &folder.at(""));
+        // Which way is up is not the question.
+        let words = format!("{command} --up +z --unit m --out @{out}").replace('@', &folder.at(""));
         let said = told(&line(&words));
         let receipt = json(folder.path(&format!("{out}/receipt.json")));
         let warned = receipt["warnings"].to_string().matches("looks like nothing").count();
