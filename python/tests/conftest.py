@@ -20,10 +20,17 @@ def program(*words, **options):
 
 @pytest.fixture(scope="session")
 def demo(tmp_path_factory) -> Path:
-    """The folder of `scenesplat demo`: room.ply, labels.npy, scores.npy."""
-    out = tmp_path_factory.mktemp("demo") / "out"
-    done = program("demo", "--out", out)
-    assert done.returncode == 0, done.stderr
+    """A quarter of the room of `scenesplat demo` with its labels: room.ply, labels.npy, scores.npy, classes.json."""
+    folder = tmp_path_factory.mktemp("demo")
+    whole, out = folder / "whole", folder / "out"
+    out.mkdir()
+    for words in (
+        ["demo", "--out", whole],
+        ["convert", whole / "room.ply", out / "room.ply", "--sample", "25%"],
+        ["segment", out / "room.ply", "--out", out],
+    ):
+        done = program(*words)
+        assert done.returncode == 0, done.stderr
     return out
 
 

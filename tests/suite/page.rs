@@ -228,7 +228,7 @@ fn noise(i: u64) -> f32 {
 
 /// A room of 1.5 million Gaussians, each with a feature of its own that is no other's: what codes take at most.
 #[test]
-#[ignore = "takes a minute and a gigabyte; .ci/page runs it and opens the page"]
+#[ignore = "takes a minute and a gigabyte; LARGE=1 .ci/page runs it and opens the page"]
 fn a_page_of_one_and_a_half_million_gaussians() {
     let Folder(folder, _keep) = folder();
     let (room, names, words) = (room(1_500_000), names(), embedded::vocabulary().unwrap());
