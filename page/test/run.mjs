@@ -1,6 +1,6 @@
 // Looks at pages as a browser shows them: node test/run.mjs FOLDER [SCREENSHOTS].
 //
-// FOLDER holds what `cargo test --workspace --test suite -- page:: --include-ignored` wrote. SCENESPLAT_PROGRAM names the
+// FOLDER holds what `cargo test --workspace --test suite -- page::` wrote. SCENESPLAT_PROGRAM names the
 // program whose `view --serve` is tried as well.
 import assert from "node:assert/strict";
 import { existsSync, mkdirSync, readFileSync } from "node:fs";

@@ -46,7 +46,14 @@ impl Shot {
 
 /// Eight pictures of a small room, with depths, and what `collect-labels` and `train` want of it.
 pub(crate) fn film(folder: &Folder) -> Vec<Shot> {
-    let size = Size { gaussians: 4000, views: 8, picture: [WIDTH, HEIGHT], room: 0, grid_size: 0.15, epochs: 1 };
+    let size = Size {
+        gaussians: 4000,
+        views: 8,
+        picture: [WIDTH, HEIGHT],
+        room: 0,
+        grid_size: 0.15,
+        epochs: 1,
+    };
     world(folder.root(), &size);
     let mut cameras = open_cameras(&folder.path("cameras.json")).unwrap().cameras;
     for camera in &mut cameras {
