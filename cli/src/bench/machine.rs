@@ -1,15 +1,11 @@
 //! What the processor and the memory can do at most.
 
-use super::multiply_add::{Loop, bf16_loop, f32_loop, int8_loop};
 use super::stopwatch::time;
 use super::{Measured, Request, Speeds};
 use anyhow::Result;
-use rayon::prelude::*;
+use scenesplat::kernels::bench_peak::{Loop, bf16_loop, f32_loop, int8_loop, sum};
 use std::hint::black_box;
 use std::time::Instant;
-
-/// Words that one task sums.
-const CHUNK: usize = 1 << 17;
 
 /// What the processor gives at this moment: the best of twelve short runs, as whatever
 /// else runs only ever takes from it.
@@ -44,8 +40,7 @@ pub(super) fn peak(found: Loop, request: &Request) -> Result<Measured> {
 pub(super) fn bandwidth(words: usize, request: &Request) -> Result<Measured> {
     let values = vec![1_u64; words];
     let measured = time(request, || {
-        let sum = values.par_chunks(CHUNK).map(|part| part.iter().sum::<u64>()).sum::<u64>();
-        black_box(sum);
+        black_box(sum(&values));
         Ok(())
     })?;
     Ok(Measured { size: words, bytes: 8 * words as u64, ..measured })

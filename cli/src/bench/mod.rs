@@ -8,7 +8,6 @@
 mod checks;
 mod flop;
 mod machine;
-mod multiply_add;
 mod networks;
 pub mod process;
 mod products;
@@ -21,7 +20,7 @@ pub use machine::speeds;
 pub use report::{Accuracy, Failure, MachineSpeeds, Measured, Report, Row, Speeds};
 
 use anyhow::{Result, bail};
-use scenesplat::kernels::Precision;
+use scenesplat::kernels::{Precision, bench_peak};
 use serde::{Deserialize, Serialize};
 use std::path::PathBuf;
 
@@ -106,8 +105,8 @@ impl RowKind {
     /// Whether the processor has instructions for it.
     fn is_there(&self) -> bool {
         match self.work {
-            Work::PeakBf16 => multiply_add::bf16_loop().is_some(),
-            Work::PeakInt8 => multiply_add::int8_loop().is_some(),
+            Work::PeakBf16 => bench_peak::bf16_loop().is_some(),
+            Work::PeakInt8 => bench_peak::int8_loop().is_some(),
             _ => true,
         }
     }
@@ -166,12 +165,12 @@ pub fn measure(request: &Request) -> Result<Measured> {
     let n = row.size[usize::from(request.quick)];
     let before = machine::speeds();
     let measured = match row.work {
-        Work::PeakF32 => machine::peak(multiply_add::f32_loop(), request),
-        Work::PeakBf16 => match multiply_add::bf16_loop() {
+        Work::PeakF32 => machine::peak(bench_peak::f32_loop(), request),
+        Work::PeakBf16 => match bench_peak::bf16_loop() {
             Some(found) => machine::peak(found, request),
             None => bail!("this processor has no instructions for bf16"),
         },
-        Work::PeakInt8 => match multiply_add::int8_loop() {
+        Work::PeakInt8 => match bench_peak::int8_loop() {
             Some(found) => machine::peak(found, request),
             None => bail!("this processor has no instructions for dot products of 8-bit integers"),
         },

@@ -26,6 +26,7 @@
 
 pub mod activation;
 pub mod batch_norm;
+pub mod bench_peak;
 pub mod bench_room;
 pub mod eigenvectors;
 pub mod error;

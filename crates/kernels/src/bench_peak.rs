@@ -1,19 +1,27 @@
-//! Loops that do nothing but multiply and add in registers: the most a processor can do.
+//! The most that a processor and its memory can do: loops that `scenesplat bench` compares all others with.
 
-use scenesplat::kernels::simd::Isa;
+use crate::simd::Isa;
+use rayon::prelude::*;
 
 /// Independent sums: enough to hide the latency of a multiply–add on two units.
 const SUMS: usize = 12;
 /// Rounds of a loop.
 const STEPS: usize = 1_000_000;
 
-/// One of the loops.
+/// A loop that does nothing but multiply and add in registers.
 #[derive(Clone, Copy)]
 pub struct Loop {
     /// Operations of one run on one thread; a multiply–add counts as two.
     pub flop: u64,
     /// Runs it; the argument keeps the compiler from knowing the result.
     pub run: fn(f32) -> f32,
+}
+
+/// The sum of an array by all threads: as fast as memory can be read, if it is far larger than any cache.
+pub fn sum(values: &[u64]) -> u64 {
+    /// Words that one task sums.
+    const CHUNK: usize = 1 << 17;
+    values.par_chunks(CHUNK).map(|part| part.iter().sum::<u64>()).sum()
 }
 
 /// The f32 loop of the instruction set in use.
