@@ -31,6 +31,8 @@ mod spz_parts;
 mod writer;
 
 pub use container::is_glb;
+pub(super) use nodes::Affine;
+pub(super) use placement::Placement;
 pub(super) use writer::write_glb;
 
 use super::json_text::{is_json, without_mark};
@@ -304,7 +306,7 @@ fn subtract_origin(
 }
 
 /// Reports quaternions without direction, and repairs them before they are multiplied.
-fn give_lengths(quat: &mut [[f32; 4]], first: usize, report: &mut RepairReport) {
+pub(super) fn give_lengths(quat: &mut [[f32; 4]], first: usize, report: &mut RepairReport) {
     let squared = |q: &[f32; 4]| q.iter().map(|&v| f64::from(v) * f64::from(v)).sum::<f64>();
     let not_finite = |q: &[f32; 4]| !squared(q).is_finite();
     let zero = |q: &[f32; 4]| squared(q) == 0.0;

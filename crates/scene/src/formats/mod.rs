@@ -31,6 +31,7 @@ pub mod splat;
 pub mod spz;
 pub mod table;
 mod trained_folder;
+pub mod usd;
 pub mod write;
 
 pub(crate) use packed_values::unit_f64;

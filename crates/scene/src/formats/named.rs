@@ -81,6 +81,9 @@ pub(super) fn file(path: &Path, bytes: &[u8]) -> Named {
             packed(path, "zstd", &head.unwrap_or_default())
         }
         [b'P', b'K', 3 | 5, ..] => archive(bytes),
+        [b'P', b'X', b'R', b'-', b'U', b'S', b'D', b'C', ..] => {
+            named("is binary USD", super::usd::CONVERT)
+        }
         [0x93, b'N', b'U', b'M', b'P', b'Y', ..] => {
             named("is a single .npy array", "give the folder that holds coord.npy")
         }

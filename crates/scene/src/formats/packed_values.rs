@@ -91,6 +91,12 @@ pub(crate) fn scale_code(log: f32) -> f32 {
     settle_float(nearest(log), |scale| nearest(log_of_scale(scale)))
 }
 
+/// The opacity that comes back as itself.
+pub(crate) fn alpha_code(logit: f32) -> f32 {
+    let nearest = |logit: f32| alpha(logit) as f32;
+    settle_float(nearest(logit), |alpha| nearest(probability_to_logit(alpha)))
+}
+
 /// What becomes of sizes that f32 cannot hold in meters.
 pub(crate) const SIZE_CUT: &str = "larger than an f32 can hold in meters; cut";
 /// What becomes of sizes below the smallest f32.

@@ -7,6 +7,7 @@
 use super::write::{WriteOptions, WriteProgress, WriteReport};
 use super::{
     LoadedScene, ReadOptions, compressed_ply, gltf, inria_ply, ksplat, npy_folder, sog, splat, spz,
+    usd,
 };
 use crate::{AtomicFile, Frame, GaussianScene, SceneError, StatedUp, Up};
 use serde::Serialize;
@@ -34,6 +35,10 @@ pub enum SceneFormat {
     SogStreamed,
     /// Sections of buckets, for one viewer.
     Ksplat,
+    /// USD as text.
+    Usda,
+    /// USD as text in an archive.
+    Usdz,
     /// 32 bytes a Gaussian, no header.
     Splat,
     /// Folder of `.npy` files.
@@ -48,6 +53,7 @@ impl SceneFormat {
         let (direction, source) = match self {
             Self::Spz => (Up::MINUS_Y, "SPZ"),
             Self::Glb | Self::Gltf => (Up::MINUS_Y, "glTF"),
+            Self::Usda | Self::Usdz => (Up::MINUS_Y, "USD"),
             Self::NpyFolder => (Up::PLUS_Z, "the habit of .npy data sets"),
             _ => (Up::MINUS_Y, "the convention of trainers"),
         };
@@ -131,7 +137,7 @@ const PLAIN: Keeps = Keeps {
 };
 
 /// All formats, in the order in which files are tried: those without a mark of their own last.
-pub static FORMATS: [FormatRow; 11] = [
+pub static FORMATS: [FormatRow; 13] = [
     FormatRow {
         format: SceneFormat::CompressedPly,
         name: "compressed-ply",
@@ -189,6 +195,26 @@ pub static FORMATS: [FormatRow; 11] = [
         writer: Some(Beside(gltf::write_glb)),
         frame: Some(Frame::LUF),
         keeps: Keeps { origin: true, ..PLAIN },
+    },
+    FormatRow {
+        format: SceneFormat::Usda,
+        name: "usda",
+        about: "USD text with ParticleField3DGaussianSplat",
+        endings: &[".usda"],
+        reader: Some((usd::is_usda, usd::read_usda)),
+        writer: Some(File(usd::write_usda)),
+        frame: Some(Frame::RUB),
+        keeps: Keeps { origin: true, antialiased: true, ..PLAIN },
+    },
+    FormatRow {
+        format: SceneFormat::Usdz,
+        name: "usdz",
+        about: "the same text in an archive",
+        endings: &[".usdz"],
+        reader: Some((usd::is_usdz, usd::read_usdz)),
+        writer: Some(File(usd::write_usdz)),
+        frame: Some(Frame::RUB),
+        keeps: Keeps { origin: true, antialiased: true, ..PLAIN },
     },
     FormatRow {
         format: SceneFormat::Sog,

@@ -172,13 +172,13 @@ impl fmt::Display for WriteReport {
 /// Writes a scene; the file appears under its name when it is complete.
 ///
 /// Labels, scores, instances and language codes go along in every format: as columns of a PLY file,
-/// as an extension record of an SPZ file, inside a SOG archive, else in a file beside the scene
+/// as an extension record of an SPZ file, as primvars of USD, inside a SOG archive, else in a file beside the scene
 /// (`NAME.labels.safetensors`) that [`open_scene`](super::open_scene) finds. Programs that do not
 /// know them open the scene as before. Such a file of an earlier scene is removed if this one has
 /// nothing of the kind.
 ///
 /// A scene with an origin is written in the coordinates of its file by the formats that hold doubles
-/// or an offset (PLY, `.glb`, `.npy`); by the others relative to the origin, which the report says.
+/// or an offset (PLY, `.glb`, USD, `.npy`); by the others relative to the origin, which the report says.
 ///
 /// # Errors
 /// If the scene is empty or its arrays do not match, if a position, size, rotation, opacity or color

@@ -24,5 +24,6 @@ mod sog;
 mod sog_streamed;
 mod splat;
 mod spz;
+mod usd;
 mod writing;
 mod wrong_files;

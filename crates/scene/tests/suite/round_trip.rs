@@ -26,13 +26,15 @@ const fn case(format: SceneFormat, name: &'static str) -> Case {
 
 const SPZ: Case = case(SceneFormat::Spz, "a.spz");
 
-const CASES: [Case; 11] = [
+const CASES: [Case; 13] = [
     case(SceneFormat::Ply, "a.ply"),
     case(SceneFormat::CompressedPly, "a.compressed.ply"),
     case(SceneFormat::Splat, "a.splat"),
     case(SceneFormat::Sog, "a.sog"),
     case(SceneFormat::SogFolder, "sog/meta.json"),
     case(SceneFormat::Glb, "a.glb"),
+    case(SceneFormat::Usda, "a.usda"),
+    case(SceneFormat::Usdz, "a.usdz"),
     case(SceneFormat::NpyFolder, "npy"),
     SPZ,
     Case { spz_version: 2, ..SPZ },
@@ -59,6 +61,7 @@ impl Case {
             SceneFormat::Splat | SceneFormat::NpyFolder => 0,
             SceneFormat::Spz if self.spz_version == 4 => 4,
             SceneFormat::Ply | SceneFormat::Glb => 4,
+            SceneFormat::Usda | SceneFormat::Usdz => 4,
             _ => 3,
         }
     }
@@ -176,7 +179,7 @@ fn hard_scenes() -> Vec<(String, GaussianScene)> {
 fn check_fixed_point(case: Case, scene: &GaussianScene, what: &str) {
     let what = &format!("{case:?}, {what}");
     let mut scene = scene.clone();
-    if case.format == SceneFormat::Glb {
+    if [SceneFormat::Glb, SceneFormat::Usda, SceneFormat::Usdz].contains(&case.format) {
         // Zeros lose their sign where the frame is turned.
         let values = scene.coord.iter_mut().flatten().chain(&mut scene.sh_rest);
         values.for_each(|value| *value += 0.0);
@@ -203,7 +206,9 @@ fn check_fixed_point(case: Case, scene: &GaussianScene, what: &str) {
     match case.format {
         SceneFormat::Ply => assert_eq!(back, due, "{what}"),
         SceneFormat::CompressedPly => check_close(&due, &back, what),
-        SceneFormat::Glb => assert_eq!((&back.coord, &back.sh_dc), (&due.coord, &due.sh_dc)),
+        SceneFormat::Glb | SceneFormat::Usda | SceneFormat::Usdz => {
+            assert_eq!((&back.coord, &back.sh_dc), (&due.coord, &due.sh_dc))
+        }
         SceneFormat::Splat | SceneFormat::NpyFolder => assert_eq!(back.coord, due.coord),
         _ => {}
     }

@@ -7,7 +7,7 @@ use scenesplat_scene::{
 };
 use std::path::{Path, PathBuf};
 
-const FORMATS: [(SceneFormat, &str); 9] = [
+const FORMATS: [(SceneFormat, &str); 11] = [
     (SceneFormat::Ply, "a.ply"),
     (SceneFormat::CompressedPly, "a.compressed.ply"),
     (SceneFormat::Spz, "a.spz"),
@@ -17,6 +17,8 @@ const FORMATS: [(SceneFormat, &str); 9] = [
     (SceneFormat::NpyFolder, "deeper/npy"),
     (SceneFormat::Glb, "a.glb"),
     (SceneFormat::SogStreamed, "lod/lod-meta.json"),
+    (SceneFormat::Usda, "a.usda"),
+    (SceneFormat::Usdz, "a.usdz"),
 ];
 /// Those with a file of labels beside the scene.
 const BESIDE: [(SceneFormat, &str); 3] = [FORMATS[1], FORMATS[3], FORMATS[7]];

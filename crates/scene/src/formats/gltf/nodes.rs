@@ -10,25 +10,31 @@ use std::path::Path;
 
 /// `p ↦ linear · p + translation`.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub(super) struct Affine {
+pub(in crate::formats) struct Affine {
     pub linear: Matrix3,
     pub translation: [f64; 3],
 }
 
 impl Affine {
-    const IDENTITY: Self =
+    pub(in crate::formats) const IDENTITY: Self =
         Self { linear: [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]], translation: [0.0; 3] };
 
     /// First `other`, then this.
-    pub(super) fn after(&self, other: &Self) -> Self {
+    pub(in crate::formats) fn after(&self, other: &Self) -> Self {
         Self {
             linear: product(&self.linear, &other.linear),
             translation: self.apply(other.translation),
         }
     }
 
-    pub(super) fn apply(&self, p: [f64; 3]) -> [f64; 3] {
+    pub(in crate::formats) fn apply(&self, p: [f64; 3]) -> [f64; 3] {
         (matrix(&self.linear) * DVec3::from(p) + DVec3::from(self.translation)).to_array()
+    }
+}
+
+impl Default for Affine {
+    fn default() -> Self {
+        Self::IDENTITY
     }
 }
 

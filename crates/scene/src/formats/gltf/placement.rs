@@ -22,7 +22,7 @@ const WHOLE: f64 = 1e-7;
 const SINGULAR: f64 = 1e-9;
 
 /// What a matrix does to Gaussians.
-pub(super) enum Placement {
+pub(in crate::formats) enum Placement {
     /// They keep their shape.
     Similar(Similarity),
     /// They are stretched.
@@ -35,7 +35,7 @@ pub(super) enum Placement {
 
 impl Placement {
     /// `None` if the matrix has no inverse or is not finite.
-    pub(super) fn new(by: &Affine) -> Option<Self> {
+    pub(in crate::formats) fn new(by: &Affine) -> Option<Self> {
         let entries = by.linear.iter().flatten().chain(&by.translation);
         if !entries.copied().all(f64::is_finite) {
             return None;
@@ -59,7 +59,7 @@ impl Placement {
     }
 
     /// Where a point comes to lie.
-    pub(super) fn position(&self, p: [f64; 3]) -> [f64; 3] {
+    pub(in crate::formats) fn position(&self, p: [f64; 3]) -> [f64; 3] {
         match self {
             Self::Similar(by) => by.apply(p),
             Self::Stretched { by, .. } => by.apply(p),
@@ -67,7 +67,7 @@ impl Placement {
     }
 
     /// What is added to every position in the end.
-    pub(super) fn translation(&mut self) -> &mut [f64; 3] {
+    pub(in crate::formats) fn translation(&mut self) -> &mut [f64; 3] {
         match self {
             Self::Similar(by) => &mut by.translation,
             Self::Stretched { by, .. } => &mut by.translation,
@@ -75,7 +75,7 @@ impl Placement {
     }
 
     /// Moves the Gaussians; their quaternions must have a length.
-    pub(super) fn apply(&self, scene: &mut GaussianScene) {
+    pub(in crate::formats) fn apply(&self, scene: &mut GaussianScene) {
         let (by, rotation) = match self {
             Self::Similar(similarity) => return scene.transform(similarity),
             Self::Stretched { by, rotation } => (by, rotation),
@@ -96,7 +96,7 @@ impl Placement {
     }
 
     /// Whether quaternions are multiplied by another one, so that they need a length.
-    pub(super) fn turns(&self) -> bool {
+    pub(in crate::formats) fn turns(&self) -> bool {
         let Self::Similar(similarity) = self else { return true };
         (0..3).any(|i| (0..3).any(|j| i != j && similarity.rotation[i][j] != 0.0))
     }

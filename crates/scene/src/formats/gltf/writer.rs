@@ -4,11 +4,10 @@ use crate::AtomicFile;
 use crate::bounds::bounding_box;
 use crate::formats::limit_tally::Limits;
 use crate::formats::packed_values::{
-    ALPHA_ENDS, SIZE_CUT, SIZE_VANISHES, alpha, canonical_quat, scale_code, settle_float,
-    tally_alpha, tally_sizes,
+    ALPHA_ENDS, SIZE_CUT, SIZE_VANISHES, alpha_code, canonical_quat, scale_code, tally_alpha,
+    tally_sizes,
 };
 use crate::formats::{WriteOptions, WriteProgress, WriteReport};
-use crate::gaussian_scene::probability_to_logit;
 use crate::spherical_harmonics::ShRotation;
 use crate::{Frame, GaussianScene, SceneError, Similarity};
 use rayon::prelude::*;
@@ -233,12 +232,6 @@ fn bounds(scene: &GaussianScene, position: &Attribute) -> ([f32; 3], [f32; 3]) {
         (position.value)(scene, row, &mut p);
         p
     }))
-}
-
-/// The opacity that comes back as itself.
-fn alpha_code(logit: f32) -> f32 {
-    let nearest = |logit: f32| alpha(logit) as f32;
-    settle_float(nearest(logit), |alpha| nearest(probability_to_logit(alpha)))
 }
 
 fn note_limits(scene: &GaussianScene, report: &mut WriteReport) {
