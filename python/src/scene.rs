@@ -100,7 +100,7 @@ impl Scene {
         Ok(Self::new(opened))
     }
 
-    /// Writes the scene. The format is that of the ending (.ply, .compressed.ply, .spz, .sog, .glb, .splat, a folder, …)
+    /// Writes the scene. The format is that of the ending (.ply, .compressed.ply, .spz, .sog, .glb, .usda, .usdz, .splat, a folder, …)
     /// or `format`. What the format cannot hold is a warning.
     ///
     /// Returns the number of bytes written.

@@ -122,7 +122,7 @@ class Scene:
         lod_levels: int = ...,
         progress: Progress | None = ...,
     ) -> int:
-        """Writes the scene. The format is that of the ending (.ply, .compressed.ply, .spz, .sog, .glb, .splat, a folder, …)
+        """Writes the scene. The format is that of the ending (.ply, .compressed.ply, .spz, .sog, .glb, .usda, .usdz, .splat, a folder, …)
         or `format`. What the format cannot hold is a warning.
 
         Returns the number of bytes written.

@@ -16,13 +16,13 @@ use std::path::PathBuf;
 /// rotation, translation.
 #[derive(Debug, clap::Args)]
 pub struct Args {
-    /// Scenes in any format: PLY, compressed PLY, .splat, .spz, SOG, .ksplat, glTF, folder of .npy
+    /// Scenes in any format: PLY, compressed PLY, .splat, .spz, SOG, .ksplat, glTF, USD, folder of .npy
     /// files. Of several, the rows follow each other in one scene.
     #[arg(required = true, num_args = 1..)]
     pub from: Vec<PathBuf>,
-    /// The new file; its ending says the format: .ply, .compressed.ply, .spz, .splat, .glb, .sog,
-    /// meta.json (a SOG folder), lod-meta.json (a streamed SOG folder), or none (a folder of .npy
-    /// files).
+    /// The new file; its ending says the format: .ply, .compressed.ply, .spz, .splat, .glb, .usda, .usdz,
+    /// .sog, meta.json (a SOG folder), lod-meta.json (a streamed SOG folder), or none (a folder of
+    /// .npy files).
     pub to: PathBuf,
     /// The format, where the name does not say it.
     #[arg(long, value_name = "NAME", value_parser = format_parser())]
