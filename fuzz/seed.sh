@@ -5,7 +5,7 @@ cd "$(dirname "$0")/.."
 shared=${SCENESPLAT_SHARED:-../shared}
 real=$shared/real
 corpus=fuzz/corpus
-mkdir -p $corpus/{ply,ply_points,spz,splat,sog,sog_json,ksplat,gltf,cameras_json,transforms_json,colmap_binary,colmap_text,npy,labels,weights,pickle,network_config,experiment,picture}
+mkdir -p $corpus/{ply,ply_points,spz,splat,sog,sog_json,ksplat,gltf,usd,cameras_json,transforms_json,colmap_binary,colmap_text,npy,labels,weights,pickle,network_config,experiment,picture}
 cp "$real"/fixtures/*.spz $corpus/spz/
 cp "$real"/fixtures/*.splat $corpus/splat/
 cp "$real"/fixtures/*.ksplat $corpus/ksplat/
@@ -36,6 +36,8 @@ cp "$small"/*.labels.safetensors $corpus/labels/
 for version in 2 3 4; do convert "$corpus/spz/labelled-v$version.spz" --sample 20 --spz-version $version; done
 convert $corpus/splat/room.splat --sample 20
 convert $corpus/sog/room.sog --sample 20
+convert $corpus/usd/room.usda --sample 20
+convert $corpus/usd/room.usdz --sample 20
 convert "$small/npy" --sample 20
 cp "$small"/npy/*.npy $corpus/npy/
 printf '{"w":4,"h":3,"fl_x":5.0,"frames":[{"file_path":"a.png","transform_matrix":[[1,0,0,0],[0,1,0,0],[0,0,1,0],[0,0,0,1]]}]}' \

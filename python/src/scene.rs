@@ -46,7 +46,7 @@ fn frame_of(name: &str) -> PyResult<SpzFrame> {
 
 #[pymethods]
 impl Scene {
-    /// Reads a scene in any format that the program reads: PLY (trainers', compressed), SPZ, SOG, KSPLAT, splat, glTF,
+    /// Reads a scene in any format that the program reads: PLY (trainers', compressed), SPZ, SOG, KSPLAT, splat, glTF, USD,
     /// folders of .npy, training folders; a labeled point cloud becomes Gaussians, with a warning.
     ///
     /// - `strict`: refuses files with values that would be repaired; else what was repaired is a warning

@@ -87,7 +87,7 @@ def test_extra_columns_come_out_as_they_went_in(tmp_path, random):
         assert Scene.open(path, extra=False).extra == {}
 
 
-@pytest.mark.parametrize("name", ["a.compressed.ply", "a.spz", "a.sog", "a.glb", "a.splat", "folder"])
+@pytest.mark.parametrize("name", ["a.compressed.ply", "a.spz", "a.sog", "a.glb", "a.usda", "a.usdz", "a.splat", "folder"])
 def test_every_format_is_written_and_read(name, tmp_path, random):
     scene = Scene.from_arrays(**arrays(random, n=300, degree=0))
     with warnings.catch_warnings():

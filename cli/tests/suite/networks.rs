@@ -59,6 +59,7 @@ fn released_networks_are_known_by_their_weights_and_by_name() {
     checkpoint(&shapes(&ModelConfig::ssl()), Path::new(&weights));
     done(&run(&format!("features {room}")));
     assert_eq!(npy(folder.path("out/features.npy")).shape(), [300, 64]);
+    has(&printed(&run!("weights {weights} --config ssl")), &["ssl: fits"]);
     // A name that they do not belong to is refused.
     refused(&run(&format!("features {room} --config language")), 1, &[]);
 }

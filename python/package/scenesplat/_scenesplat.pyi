@@ -72,7 +72,7 @@ class Scene:
         extra: bool = ...,
         spz_frame: str = ...,
     ) -> Scene:
-        """Reads a scene in any format that the program reads: PLY (trainers', compressed), SPZ, SOG, KSPLAT, splat, glTF,
+        """Reads a scene in any format that the program reads: PLY (trainers', compressed), SPZ, SOG, KSPLAT, splat, glTF, USD,
         folders of .npy, training folders; a labeled point cloud becomes Gaussians, with a warning.
 
         - `strict`: refuses files with values that would be repaired; else what was repaired is a warning

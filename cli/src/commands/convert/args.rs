@@ -44,8 +44,8 @@ pub struct Args {
     #[arg(long, value_name = "FACTOR", value_parser = parse_positive, allow_hyphen_values = true)]
     pub scale: Option<f64>,
     /// Renames the axes: the directions of +x, +y, +z as letters of right/left, up/down,
-    /// forward/back. FROM is RDF if not given, the frame of scenes in memory. SPZ and glTF files have a
-    /// frame of their own, are converted by themselves, and refuse this.
+    /// forward/back. FROM is RDF if not given, the frame of scenes in memory. SPZ, glTF and USD files
+    /// have a frame of their own, are converted by themselves, and refuse this.
     #[arg(long, value_name = "[FROM:]TO")]
     pub frame: Option<FrameChange>,
     /// Turns the scene so that this direction of it becomes +z: +x, -x, +y, -y, +z, -z, X,Y,Z, or auto for

@@ -95,7 +95,7 @@ value_rules! {
     QuatMissing: "quat", "rotation missing", Repair, "no rotation";
     OpacityNan: "opacity", "NaN", Repair, "the Gaussian is left out";
     OpacityInfinite: "opacity", "logit -inf or +inf", Accept, "kept: alpha 0 or 1";
-    OpacityOutside: "opacity", "probability outside 0 to 1 (folder of .npy, glTF)", Repair, "clipped to 0 or 1";
+    OpacityOutside: "opacity", "probability outside 0 to 1 (folder of .npy, glTF, USD)", Repair, "clipped to 0 or 1";
     OpacityMissing: "opacity", "opacity missing", Repair, "alpha 1";
     ColorNan: "color", "DC term NaN", Repair, "mid-gray, DC term 0";
     ColorInfinite: "color", "DC term infinite", Repair, "clipped to color 0 or 1";

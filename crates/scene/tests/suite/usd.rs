@@ -59,6 +59,19 @@ def Xform "World" (
     float3 xformOp:rotateXYZ = (0, 0, 90)
     uniform token[] xformOpOrder = ["xformOp:translate:pivot", "xformOp:rotateXYZ"]
 }
+def Mesh "Other" (
+    prepend references = [@a@</Scene> (offset = 1), @@@c@d.usda@@@]
+    payload = @e.usdc@</Scene> (offset = 2)
+)
+{
+    asset texture = @wood.png@
+    double3 xformOp:translate.timeSamples = { 0: (0, 0, 0), 1: (1, 0, 0) }
+    uniform token[] xformOpOrder = ["xformOp:translate", "!invert!xformOp:rotateX:nowhere"]
+}
+def ParticleField3DGaussianSplat "Off" (active = false)
+{
+    point3f[] positions = [(0, 0, 0)]
+}
 "#;
 
 #[test]
@@ -86,9 +99,23 @@ fn a_layer_by_hand_is_where_it_says() {
     let unread: Vec<_> = loaded.unread.iter().map(|c| (c.name.as_str(), c.kind.as_str())).collect();
     assert_eq!(
         unread,
-        [("primvars:heat", "array"), ("opacities.timeSamples", "changes with time")]
+        [("primvars:heat", "float[]"), ("opacities.timeSamples", "changes with time")]
     );
-    assert!(loaded.report.notes.iter().any(|note| note.contains("metersPerUnit = 0.01")));
+    for said in ["metersPerUnit = 0.01", "refers to other files"] {
+        assert!(loaded.report.notes.iter().any(|note| note.contains(said)), "{said}");
+    }
+    // The same, written otherwise.
+    let pivot = "xformOpOrder = [\"xformOp:translate:pivot\", ";
+    let back = "\"!invert!xformOp:translate:pivot\", \"xformOp:translate:pivot\", ";
+    for (from, to) in [
+        (" = ", "="),
+        (pivot, &format!("{pivot}{back}")),
+        (pivot, &pivot.replace('[', "[\"!resetXformStack!\", ")),
+        ("opacities = [0.5, 1]\n", "opacities = [0.5, 1.0000001]\n"),
+    ] {
+        assert!(BY_HAND.contains(from), "{from}");
+        assert_eq!(read(BY_HAND.replace(from, to)).unwrap().scene, *scene, "{to}");
+    }
 }
 
 #[test]
@@ -97,7 +124,9 @@ fn what_a_layer_leaves_open_is_said() {
         "#usda 1.0\ndef ParticleField3DGaussianSplat \"A\" { point3h[] positionsh = [(1, 2, 3)] }";
     let loaded = read(text).unwrap();
     let scene = &loaded.scene;
-    assert_eq!((scene.coord[0], scene.log_scale[0]), ([1.0, -2.0, -3.0], [0.0; 3]));
+    // USD prescribes centimeters where a layer does not say.
+    assert!(near(scene.coord[0], [0.01, -0.02, -0.03]));
+    assert!(near(scene.log_scale[0], [0.01_f64.ln(); 3]));
     assert_eq!((scene.quat[0], scene.opacity_logit[0]), ([1.0, 0.0, 0.0, 0.0], f32::INFINITY));
     assert_eq!((scene.sh_dc[0], scene.sh_degree), ([0.0; 3], 0));
     for said in ["metersPerUnit", "no scales", "no orientations", "no opacities", "no radiance:"] {
@@ -115,7 +144,7 @@ fn what_cannot_be_read_is_refused() {
         (
             "def Xform",
             "over",
-            "holds no ParticleField3DGaussianSplat itself; it refers to other files",
+            "holds no ParticleField3DGaussianSplat itself; it refers to other files or prims",
         ),
         ("class \"Base\"", "def \"Base\"", "holds 2 prims"),
         ("float[] opacities =", "float[] other =", ""),
@@ -124,15 +153,31 @@ fn what_cannot_be_read_is_refused() {
         ("sphericalHarmonicsDegree = 1", "sphericalHarmonicsDegree = 5", "degree 5"),
         ("sphericalHarmonicsDegree = 1", "sphericalHarmonicsDegree = -1", "expected a number"),
         ("upAxis = \"Z\"", "upAxis = \"X\"", "upAxis = \"X\""),
-        ("metersPerUnit = 0.01", "metersPerUnit = 0", "without inverse"),
+        ("metersPerUnit = 0.01", "metersPerUnit = 0", "metersPerUnit = 0"),
+        ("metersPerUnit = 0.01", "metersPerUnit = -1", "metersPerUnit = -1"),
         (
-            "\"xformOp:rotateXYZ\"",
-            "\"!invert!xformOp:rotateXYZ\"",
-            "moved by !invert!xformOp:rotateXYZ",
+            "xformOp:rotateXYZ",
+            "xformOp:rotateXXZ",
+            "/World is moved by xformOp:rotateXXZ, which is not read",
         ),
+        (
+            "pivot = (0, 0, 10)",
+            "pivot.timeSamples = {0: (0, 0, 10)}",
+            "pivot, which changes with time",
+        ),
+        (
+            "pivot = (0, 0, 10)",
+            "pivot = (0, 0, 10) double3 xformOp:translate:pivot.connect = </A.b>",
+            "changes with time",
+        ),
+        ("int[] primvars:segment", "float[] primvars:segment", ""),
         ("(100, 0, 0)", "(100, 0)", "line 21: expected ','"),
         ("point3f[] positions =", "point3f[] places =", "has no positions"),
-        ("point3f[] positions =", "point3f[] positions.timeSamples = {0: ", "line 21"),
+        (
+            "point3f[] positions = [(100, 0, 0), (0, 200, 0.5),]",
+            "point3f[] positions.timeSamples = {0: [(1, 0, 0)]}",
+            "changes with time, which is not read",
+        ),
         ("(0, 0, 90)", "(0, 0, 1e999999)", "without inverse"),
         ("[7, -5]", "[7.5, -5]", "expected a number"),
         ("</World/Looks>", "</World/Looks", "line"),

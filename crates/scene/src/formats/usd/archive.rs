@@ -69,6 +69,26 @@ pub fn read_usdz(
     read_layer(layer, path, options, SceneFormat::Usdz)
 }
 
+/// Takes so many bytes.
+struct Limited<W> {
+    zip: W,
+    left: u64,
+}
+
+impl<W: Write> Write for Limited<W> {
+    fn write(&mut self, bytes: &[u8]) -> std::io::Result<usize> {
+        self.left = self.left.saturating_sub(bytes.len() as u64);
+        match self.left {
+            0 => Err(std::io::ErrorKind::FileTooLarge.into()),
+            _ => self.zip.write_all(bytes).map(|()| bytes.len()),
+        }
+    }
+
+    fn flush(&mut self) -> std::io::Result<()> {
+        self.zip.flush()
+    }
+}
+
 /// Writes a scene as a `.usdz` file: an archive with the text of [`write_usda`](super::write_usda).
 ///
 /// # Errors
@@ -91,7 +111,14 @@ pub(in crate::formats) fn write_usdz(
         .unix_permissions(0o644)
         .with_alignment(ALIGNMENT);
     zip.start_file(NAME, options).map_err(cannot)?;
-    write_layer(scene, &mut zip, path, progress)?;
+    let mut limited = Limited { zip, left: u64::from(u32::MAX) };
+    let written = write_layer(scene, &mut limited, path, progress);
+    let Limited { zip, left } = limited;
+    if left == 0 {
+        let problem = "would be longer than the 4 GiB that archives of USD hold";
+        return Err(SceneError::format(path, problem, "write a .usda file, or cut harmonics"));
+    }
+    written?;
     let mut buffer = zip.finish().map_err(cannot)?;
     buffer.flush().map_err(SceneError::io(path, "cannot write the archive"))?;
     note_limits(scene, report);

@@ -10,19 +10,20 @@ use crate::formats::gltf::Affine;
 use crate::frame::{Matrix3, transposed};
 use crate::vector::rotation;
 use half::f16;
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
 
 /// Deepest nesting of prims.
 const MAX_DEPTH: usize = 64;
+/// Longest name of a prim, bytes.
+const MAX_NAME: usize = 1024;
 
 /// Gaussians as a prim has them.
-#[derive(Default)]
 pub(super) struct Prim {
     /// Where it is in the layer, such as `/World/Room`.
     pub place: String,
-    /// From its coordinates to those of the layer.
-    pub world: Affine,
+    /// From its coordinates to those of the layer, or why that cannot be said.
+    pub world: World,
     pub positions: Option<Vec<[f32; 3]>>,
     pub orientations: Option<Vec<[f32; 4]>>,
     pub scales: Option<Vec<[f32; 3]>>,
@@ -36,11 +37,14 @@ pub(super) struct Prim {
     pub codebook_mean: Option<Vec<[f32; 1]>>,
     pub codebook_axes: Option<Vec<[f32; 1]>>,
     pub antialiased: bool,
-    /// Arrays besides, which nothing here reads.
-    pub unread: Vec<String>,
+    /// Arrays besides, which nothing here reads: name and type.
+    pub unread: Vec<[String; 2]>,
     /// Arrays that change with time, of which nothing is read.
     pub animated: Vec<String>,
 }
+
+/// Where a prim is, or why that cannot be said.
+pub(super) type World = Result<Affine, String>;
 
 /// What a layer holds.
 #[derive(Default)]
@@ -49,8 +53,11 @@ pub(super) struct Layer {
     pub meters_per_unit: Option<f64>,
     /// `Y` or `Z`, if it says so.
     pub up_axis: Option<String>,
-    pub prims: Vec<Prim>,
-    /// Whether it refers to other files.
+    /// The first prim of Gaussians.
+    pub first: Option<Prim>,
+    /// How many there are.
+    pub count: usize,
+    /// Whether it refers to other files or prims, or has variants.
     pub refers: bool,
 }
 
@@ -58,6 +65,8 @@ pub(super) struct Layer {
 #[derive(Default)]
 struct Moves {
     by_name: BTreeMap<String, Affine>,
+    /// Those that change with time or follow another attribute.
+    driven: BTreeSet<String>,
     order: Vec<String>,
 }
 
@@ -71,8 +80,9 @@ impl Layer {
         }
         while text.peek().is_some() {
             match text.word()? {
-                "def" => layer.read_prim(&mut text, "", Affine::IDENTITY, true, 0)?,
-                "over" | "class" => layer.read_prim(&mut text, "", Affine::IDENTITY, false, 0)?,
+                word @ ("def" | "over" | "class") => {
+                    layer.read_prim(&mut text, "", &Ok(Affine::IDENTITY), word == "def", 0)?;
+                }
                 _ => text.skip_value()?,
             }
         }
@@ -109,7 +119,7 @@ impl Layer {
         &mut self,
         text: &mut Text<'_>,
         parent: &str,
-        world: Affine,
+        world: &World,
         is_defined: bool,
         depth: usize,
     ) -> Result<(), SceneError> {
@@ -120,14 +130,15 @@ impl Layer {
             Some(b'"') => "",
             _ => text.word()?,
         };
-        let name = String::from_utf8_lossy(text.string()?).into_owned();
-        let place = format!("{parent}/{name}");
-        if text.peek() == Some(b'(') {
-            self.read_composition(text)?;
+        let name = text.string()?;
+        if name.len() > MAX_NAME {
+            return Err(text.error(format!("the name of a prim is longer than {MAX_NAME} bytes")));
         }
+        let place = format!("{parent}/{}", String::from_utf8_lossy(name));
+        let is_defined = is_defined & (text.peek() != Some(b'(') || self.read_composition(text)?);
         text.expect(b'{')?;
         let is_gaussians = is_defined && ty == TYPE;
-        let mut prim = Prim { place: place.clone(), ..Prim::default() };
+        let mut prim = Prim::new();
         let (mut moves, mut below) = (Moves::default(), Vec::new());
         while !text.take(b'}') {
             match text.word()? {
@@ -137,6 +148,7 @@ impl Layer {
                     skip_prim(text)?;
                 }
                 "variantSet" => {
+                    self.refers = true;
                     text.string()?;
                     text.expect(b'=')?;
                     text.skip_value()?;
@@ -149,19 +161,21 @@ impl Layer {
                 word => read_property(text, word, is_gaussians.then_some(&mut prim), &mut moves)?,
             }
         }
-        let world = moves.world(text, &place, world)?;
-        for (mut text, is_defined) in below {
-            self.read_prim(&mut text, &place, world, is_defined, depth + 1)?;
-        }
+        let world = moves.world(&place, world);
         if is_gaussians {
-            prim.world = world;
-            self.prims.push(prim);
+            self.count += 1;
+            (prim.place, prim.world) = (place.clone(), world.clone());
+            self.first.get_or_insert(prim);
+        }
+        for (mut text, is_defined) in below {
+            self.read_prim(&mut text, &place, &world, is_defined, depth + 1)?;
         }
         Ok(())
     }
 
-    /// What stands in parentheses behind the name of a prim.
-    fn read_composition(&mut self, text: &mut Text<'_>) -> Result<(), SceneError> {
+    /// What stands in parentheses behind the name of a prim; gives whether it is active.
+    fn read_composition(&mut self, text: &mut Text<'_>) -> Result<bool, SceneError> {
+        let mut is_active = true;
         text.expect(b'(')?;
         while !text.take(b')') {
             if matches!(text.peek(), Some(b'"' | b'\'')) {
@@ -171,10 +185,11 @@ impl Layer {
             let name = text.word()?;
             self.refers |= ["references", "payload", "inherits", "specializes"].contains(&name);
             if text.take(b'=') {
-                text.skip_value()?;
+                is_active &= name != "active" || !(text.next_is("false") || text.next_is("0"));
+                text.skip_arc()?;
             }
         }
-        Ok(())
+        Ok(is_active)
     }
 }
 
@@ -205,9 +220,8 @@ fn read_property(
     }
     let name = text.word()?;
     if text.take(b'=') {
-        let is_none = text.clone().word().is_ok_and(|word| word == "None");
         match prim {
-            _ if is_none => text.skip_value()?,
+            _ if text.next_is("None") => text.skip_value()?,
             _ if name.starts_with("xformOp") => moves.read(text, name)?,
             Some(prim) => prim.read(text, ty, name)?,
             None => text.skip_value()?,
@@ -220,6 +234,28 @@ fn read_property(
 }
 
 impl Prim {
+    fn new() -> Self {
+        Self {
+            place: String::new(),
+            world: Ok(Affine::IDENTITY),
+            positions: None,
+            orientations: None,
+            scales: None,
+            opacities: None,
+            degree: None,
+            harmonics: None,
+            segment: None,
+            instance: None,
+            segment_score: None,
+            lang_code: None,
+            codebook_mean: None,
+            codebook_axes: None,
+            antialiased: false,
+            unread: Vec::new(),
+            animated: Vec::new(),
+        }
+    }
+
     /// Reads the value of an attribute. Of numbers in two precisions the better ones are kept.
     fn read(&mut self, text: &mut Text<'_>, ty: &str, name: &str) -> Result<(), SceneError> {
         match name {
@@ -234,18 +270,18 @@ impl Prim {
             "opacitiesh" => or_half(&mut self.opacities, text)?,
             "radiance:sphericalHarmonicsCoefficientsh" => or_half(&mut self.harmonics, text)?,
             DEGREE => self.degree = Some(text.number()?),
-            SEGMENT => self.segment = Some(text.array()?),
-            INSTANCE => self.instance = Some(text.array()?),
-            SEGMENT_SCORE => self.segment_score = Some(text.array()?),
-            LANG_CODE => self.lang_code = Some(text.array()?),
-            CODEBOOK_MEAN => self.codebook_mean = Some(text.array()?),
-            CODEBOOK_AXES => self.codebook_axes = Some(text.array()?),
+            SEGMENT if ty == "int[]" => self.segment = Some(text.array()?),
+            INSTANCE if ty == "int[]" => self.instance = Some(text.array()?),
+            SEGMENT_SCORE if ty == "float[]" => self.segment_score = Some(text.array()?),
+            LANG_CODE if ty == "half[]" => self.lang_code = Some(text.array()?),
+            CODEBOOK_MEAN if ty == "float[]" => self.codebook_mean = Some(text.array()?),
+            CODEBOOK_AXES if ty == "float[]" => self.codebook_axes = Some(text.array()?),
             ANTIALIASED => self.antialiased = ["1", "true"].contains(&text.word()?),
             _ => {
                 if name.ends_with(".timeSamples") {
                     self.animated.push(name.to_owned());
                 } else if ty.ends_with("[]") && !["extent", "xformOpOrder"].contains(&name) {
-                    self.unread.push(name.to_owned());
+                    self.unread.push([name, ty].map(str::to_owned));
                 }
                 text.skip_value()?;
             }
@@ -273,6 +309,10 @@ impl Moves {
                 text.take(b',');
             }
             return Ok(());
+        }
+        if let Some((name, _)) = name.rsplit_once('.') {
+            self.driven.insert(name.to_owned());
+            return text.skip_value();
         }
         let kind = name.split(':').nth(1).unwrap_or_default();
         let linear = |linear| Affine { linear, ..Affine::IDENTITY };
@@ -307,7 +347,7 @@ impl Moves {
                     about(axis, degrees[axis]).after(&before)
                 })
             }
-            // Of animated ones the error comes where they are used.
+            // The error comes where it is used.
             _ => return text.skip_value(),
         };
         self.by_name.insert(name.to_owned(), by);
@@ -315,20 +355,37 @@ impl Moves {
     }
 
     /// From the coordinates of the prim to those of the layer; `parent`: from its parent's.
-    fn world(&self, text: &Text<'_>, place: &str, parent: Affine) -> Result<Affine, SceneError> {
-        let mut world = parent;
+    fn world(&self, place: &str, parent: &World) -> World {
+        let mut world = parent.clone();
         for name in &self.order {
             if name == "!resetXformStack!" {
-                world = Affine::IDENTITY;
+                world = Ok(Affine::IDENTITY);
                 continue;
             }
-            let Some(by) = self.by_name.get(name) else {
-                return Err(text.error(format!("{place} is moved by {name}, which is not read")));
+            let (name, is_inverse) = match name.strip_prefix("!invert!") {
+                Some(name) => (name, true),
+                None => (name.as_str(), false),
             };
-            world = world.after(by);
+            let by = match self.by_name.get(name) {
+                _ if self.driven.contains(name) => {
+                    Err(format!("{place} is moved by {name}, which changes with time"))
+                }
+                Some(by) if is_inverse => Ok(inverse(by)),
+                Some(by) => Ok(*by),
+                None => Err(format!("{place} is moved by {name}, which is not read")),
+            };
+            world = world.and_then(|world| by.map(|by| world.after(&by)));
         }
-        Ok(world)
+        world
     }
+}
+
+/// Not finite if there is none.
+fn inverse(by: &Affine) -> Affine {
+    let inverse = crate::frame::matrix(&by.linear).inverse();
+    let linear = transposed(&inverse.to_cols_array_2d());
+    let only = Affine { linear, translation: [0.0; 3] };
+    Affine { linear, translation: only.apply(by.translation).map(|v| -v) }
 }
 
 fn is_three_turns(kind: &str) -> bool {

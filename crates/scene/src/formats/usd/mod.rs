@@ -30,6 +30,8 @@ const CODEBOOK_MEAN: &str = "scenesplat:lang_codebook_mean";
 const CODEBOOK_AXES: &str = "scenesplat:lang_codebook_axes";
 /// Whether the scene was trained for antialiased rendering.
 const ANTIALIASED: &str = "scenesplat:antialiased";
+/// What to do about text that cannot be read.
+const CHECK: &str = "check it with OpenUSD's `usdcat FILE`, or export the scene again";
 /// What makes text of a binary layer, and one layer of several.
 pub(super) const CONVERT: &str =
     "make text of it with OpenUSD's `usdcat --flatten FILE -o scene.usda`";

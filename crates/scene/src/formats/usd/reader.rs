@@ -1,7 +1,7 @@
 //! Reading text layers.
 
 use super::layer::{Layer, Prim};
-use super::{CONVERT, HARMONICS, TYPE};
+use super::{CHECK, CONVERT, HARMONICS, TYPE};
 use crate::formats::gltf::{Affine, Placement, give_lengths};
 use crate::formats::packed_values::log_of_scale;
 use crate::formats::semantics::clean_code;
@@ -9,6 +9,7 @@ use crate::formats::{LoadedScene, ReadOptions, SceneFormat};
 use crate::frame::Frame;
 use crate::gaussian_scene::{probability_to_logit, sh_rest_len};
 use crate::place::{NO_ORIGIN, origin_of, sample_rows};
+use crate::value_policy::Rule;
 use crate::{
     GaussianScene, LanguageCode, LanguageCodebook, RepairReport, SceneError, UnreadColumn,
 };
@@ -16,6 +17,8 @@ use std::path::Path;
 
 /// What a text layer begins with.
 const MARK: &[u8] = b"#usda";
+/// Meters a unit of layers that do not say it.
+const UNSAID_UNIT: f64 = 0.01;
 /// Harmonics beyond this degree are not known.
 const MAX_DEGREE: u32 = 4;
 
@@ -47,11 +50,15 @@ pub(super) fn read_layer(
     kind: SceneFormat,
 ) -> Result<LoadedScene, SceneError> {
     let mut layer = Layer::read(bytes, path)?;
-    let count = layer.prims.len();
-    let (Some(prim), 1) = (layer.prims.pop(), count) else {
-        return Err(none_or_several(&layer, count, path));
+    let (Some(prim), 1) = (layer.first.take(), layer.count) else {
+        return Err(none_or_several(&layer, path));
     };
     let mut report = RepairReport::default();
+    if layer.refers {
+        report.notes.push(
+            "refers to other files or prims, or has variants; these were not read".to_owned(),
+        );
+    }
     let mut world = place(&layer, &prim, path, &mut report)?;
     let unread = unread(&prim);
     let mut scene = gaussians(prim, options, path, &mut report)?;
@@ -65,8 +72,9 @@ pub(super) fn read_layer(
     Ok(LoadedScene { unread, ..loaded })
 }
 
-fn none_or_several(layer: &Layer, count: usize, path: &Path) -> SceneError {
-    let refers = if layer.refers { " itself; it refers to other files" } else { "" };
+fn none_or_several(layer: &Layer, path: &Path) -> SceneError {
+    let count = layer.count;
+    let refers = if layer.refers { " itself; it refers to other files or prims" } else { "" };
     let problem = match count {
         0 => format!("holds no {TYPE}{refers}"),
         _ => format!("holds {count} prims of type {TYPE}, of which one is read"),
@@ -91,15 +99,26 @@ fn place(
             return Err(SceneError::format(path, problem, "up is \"Y\" or \"Z\""));
         }
     };
-    let unit = layer.meters_per_unit.unwrap_or(1.0);
+    let unit = layer.meters_per_unit.unwrap_or(UNSAID_UNIT);
+    if unit.is_nan() || unit <= 0.0 {
+        let problem = format!("says metersPerUnit = {unit}");
+        return Err(SceneError::format(path, problem, "a unit is a positive number of meters"));
+    }
     if layer.meters_per_unit.is_none() {
-        report.notes.push("does not say metersPerUnit; its numbers were read as meters".to_owned());
+        report.notes.push("does not say metersPerUnit; USD prescribes centimeters then".to_owned());
     } else if unit != 1.0 {
         report.notes.push(format!("says metersPerUnit = {unit}; converted to meters"));
     }
+    let world = prim.world.as_ref().map_err(|why| {
+        SceneError::format(
+            path,
+            why,
+            "write the Gaussians where they are, without that transformation",
+        )
+    })?;
     let mut to_memory = Affine { linear: frame.matrix_to(Frame::CANONICAL), translation: [0.0; 3] };
     to_memory.linear.iter_mut().flatten().for_each(|v| *v *= unit);
-    Placement::new(&to_memory.after(&prim.world)).ok_or_else(|| {
+    Placement::new(&to_memory.after(world)).ok_or_else(|| {
         let problem = format!("{} is placed by a matrix without inverse", prim.place);
         SceneError::format(path, problem, "check metersPerUnit and the xformOps above it")
     })
@@ -136,7 +155,13 @@ fn gaussians(
     let mut rest = Given { place: &prim.place, rows, path, report };
     let scales = rest.rows("scales", prim.scales, [1.0; 3])?;
     let quat = rest.rows("orientations", prim.orientations, [1.0, 0.0, 0.0, 0.0])?;
-    let opacity = rest.rows("opacities", prim.opacities, [1.0])?;
+    let mut opacity = rest.rows("opacities", prim.opacities, [1.0])?;
+    let outside = |[alpha]: &[f32; 1]| *alpha < 0.0 || *alpha > 1.0;
+    if let Some(row) = opacity.iter().position(outside) {
+        let count = opacity.iter().filter(|alpha| outside(alpha)).count();
+        rest.report.add(Rule::OpacityOutside, count, row, &opacity[row][0].to_string());
+        opacity.iter_mut().flatten().for_each(|alpha| *alpha = alpha.clamp(0.0, 1.0));
+    }
     let degree = prim.degree.unwrap_or(3);
     if degree > MAX_DEGREE {
         return Err(bad(format!(
@@ -167,7 +192,7 @@ fn gaussians(
             let code = rest.rows_of(super::LANG_CODE, Some(code), [half::f16::ZERO], k)?;
             let flat = |values: Vec<[f32; 1]>| values.into_iter().map(|[v]| v).collect();
             let codebook = LanguageCodebook { mean: flat(mean), axes: flat(axes) };
-            codebook.check()?;
+            codebook.check().map_err(|e| bad(format!("{}: {e}", prim.place)))?;
             let values = code.into_iter().map(|[v]| v).collect();
             Some(clean_code(LanguageCode { values, codebook }, rest.report))
         }
@@ -230,7 +255,14 @@ impl Given<'_> {
         default: T,
         width: usize,
     ) -> Result<Vec<T>, SceneError> {
-        let (place, needed) = (self.place, self.rows * width);
+        let place = self.place;
+        let Some(needed) = self.rows.checked_mul(width) else {
+            let problem = format!(
+                "{place}: {name} would have {width} values for each of {} Gaussians",
+                self.rows
+            );
+            return Err(SceneError::format(self.path, problem, CHECK));
+        };
         let Some(mut values) = values else {
             self.report
                 .notes
@@ -260,6 +292,6 @@ fn unread(prim: &Prim) -> Vec<UnreadColumn> {
         kind: kind.to_owned(),
         may_be_labels: false,
     };
-    let arrays = prim.unread.iter().map(|name| column("array", name));
+    let arrays = prim.unread.iter().map(|[name, ty]| column(ty, name));
     arrays.chain(prim.animated.iter().map(|name| column("changes with time", name))).collect()
 }

@@ -24,7 +24,7 @@ impl<'a> Text<'a> {
     pub(super) fn error(&self, problem: impl std::fmt::Display) -> SceneError {
         let before = &self.bytes[..self.at.min(self.bytes.len())];
         let line = 1 + before.iter().filter(|byte| **byte == b'\n').count();
-        SceneError::format(self.path, format!("line {line}: {problem}"), super::CONVERT)
+        SceneError::format(self.path, format!("line {line}: {problem}"), super::CHECK)
     }
 
     fn expected(&self, what: &str) -> SceneError {
@@ -84,6 +84,13 @@ impl<'a> Text<'a> {
         let Some(word) = word else { return Err(self.expected("a name")) };
         self.at += length;
         Ok(word)
+    }
+
+    /// Whether this word comes next.
+    pub(super) fn next_is(&mut self, word: &str) -> bool {
+        self.peek();
+        let rest = self.bytes[self.at..].strip_prefix(word.as_bytes());
+        rest.is_some_and(|rest| rest.first().is_none_or(|byte| !byte.is_ascii_alphanumeric()))
     }
 
     /// The text between quotes; what is escaped stays so.
@@ -159,17 +166,21 @@ impl<'a> Text<'a> {
             Some(b'(' | b'[' | b'{') => self.skip_brackets(),
             Some(b'"' | b'\'') => self.string().map(drop),
             Some(open @ (b'@' | b'<')) => {
-                let close = if open == b'@' { b'@' } else { b'>' };
-                let rest = &self.bytes[self.at + 1..];
-                let Some(end) = rest.iter().position(|byte| *byte == close) else {
-                    return Err(self.error("a path does not end"));
+                let rest = &self.bytes[self.at..];
+                let close: &[u8] = match open {
+                    b'@' if rest.starts_with(b"@@@") => b"@@@",
+                    b'@' => b"@",
+                    _ => b">",
                 };
-                self.at += end + 2;
+                let begun = if open == b'@' { close.len() } else { 1 };
+                let end = rest[begun..].windows(close.len()).position(|part| part == close);
+                let Some(end) = end else { return Err(self.error("a path does not end")) };
+                self.at += begun + end + close.len();
                 Ok(())
             }
             _ => {
                 let rest = &self.bytes[self.at..];
-                let is_part = |byte: &u8| !b" \t\r\n,()[]{};".contains(byte);
+                let is_part = |byte: &u8| !b" \t\r\n,()[]{};='\"@<".contains(byte);
                 let length = rest.iter().take_while(|byte| is_part(byte)).count();
                 if length == 0 {
                     return Err(self.expected("a value"));
@@ -178,6 +189,18 @@ impl<'a> Text<'a> {
                 Ok(())
             }
         }
+    }
+
+    /// Goes behind a value of the composition of a prim: a file may be followed by a prim of it, both by an offset of times.
+    pub(super) fn skip_arc(&mut self) -> Result<(), SceneError> {
+        self.skip_value()?;
+        if self.peek() == Some(b'<') {
+            self.skip_value()?;
+        }
+        if self.peek() == Some(b'(') {
+            self.skip_brackets()?;
+        }
+        Ok(())
     }
 
     /// Goes behind a pair of brackets with all that is in it.
@@ -224,7 +247,7 @@ mod tests {
     fn values_of_any_kind_are_read_or_skipped() {
         let mut all = text(
             "# no\n/* (no */ point3f[] primvars:a.b = [(1, -2.5e-3, inf), (4,5,6),] 'it\\'s' \
-             { string a = \"}\" ; asset b = @x)@ } <a/b> 12 end",
+             {string a=\"} #\";asset b=@x)@} <a/b> 12 @@@a@b@@@ end",
         );
         assert_eq!(all.word().unwrap(), "point3f[]");
         assert_eq!(all.word().unwrap(), "primvars:a.b");
@@ -232,7 +255,7 @@ mod tests {
         let values: Vec<[f32; 3]> = all.array().unwrap();
         assert_eq!(values, [[1.0, -2.5e-3, f32::INFINITY], [4.0, 5.0, 6.0]]);
         assert_eq!(all.string().unwrap(), b"it\\'s");
-        (0..3).for_each(|_| all.skip_value().unwrap());
+        (0..4).for_each(|_| all.skip_value().unwrap());
         assert_eq!(all.word().unwrap(), "end");
         assert_eq!(all.peek(), None);
     }
