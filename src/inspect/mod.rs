@@ -71,8 +71,8 @@ impl Default for InspectSettings {
 pub struct Inspection {
     /// The file or folder.
     pub path: String,
-    /// What it is: `ply`, `compressed-ply`, `npy`, `splat`, `spz`, `sog`, `ksplat`, `gltf`, or
-    /// `points` for a labeled point cloud.
+    /// What it is: `ply`, `compressed-ply`, `npy`, `splat`, `spz`, `sog`, `ksplat`, `gltf`, `usda`,
+    /// `usdz`, or `points` for a labeled point cloud.
     pub format: &'static str,
     /// Rows in the file.
     pub gaussians: usize,
