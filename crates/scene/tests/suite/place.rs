@@ -331,7 +331,7 @@ fn every_format_holds_the_place_or_says_that_it_does_not() {
         let text = report.to_string();
         assert!(text.contains(&format!("({}, {}, {})", origin[0], origin[1], origin[2])), "{text}");
     }
-    assert_eq!(held, 3, "PLY, .glb and .npy");
+    assert_eq!(held, 5, "PLY, .glb, .npy, .usda and .usdz");
     assert!(!contents(folder.path()).is_empty());
 }
 

@@ -33,13 +33,13 @@ const CASES: [Case; 13] = [
     case(SceneFormat::Sog, "a.sog"),
     case(SceneFormat::SogFolder, "sog/meta.json"),
     case(SceneFormat::Glb, "a.glb"),
-    case(SceneFormat::Usda, "a.usda"),
-    case(SceneFormat::Usdz, "a.usdz"),
     case(SceneFormat::NpyFolder, "npy"),
     SPZ,
     Case { spz_version: 2, ..SPZ },
     Case { spz_version: 3, ..SPZ },
     Case { spz_frame: SpzFrame::Raw, ..SPZ },
+    case(SceneFormat::Usda, "a.usda"),
+    case(SceneFormat::Usdz, "a.usdz"),
 ];
 
 impl Case {

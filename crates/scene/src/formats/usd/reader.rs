@@ -145,7 +145,7 @@ fn gaussians(
 ) -> Result<GaussianScene, SceneError> {
     let bad = |problem: String| SceneError::format(path, problem, "export the scene again");
     let Some(coord) = prim.positions else {
-        let why = match prim.animated.first() {
+        let why = match prim.animated.iter().find(|name| name.starts_with("positions")) {
             Some(name) => format!("{name} changes with time, which is not read"),
             None => "has no positions".to_owned(),
         };
