@@ -114,9 +114,8 @@ fn labels_come_with_names_or_maps() {
 
     // Of something else than what lies there.
     refused(&named("--steps 2"), 2, &["an adaptation of other settings", "--anew"]);
-    let other_names = named("--class-map @map.toml --steps 1");
-    refused(&other_names, 2, &["an adaptation of other names of labels"]);
     let map = "--label-names @own/classes.json --class-map @map.toml --steps 1";
+    refused(&named(map), 2, &["an adaptation of other names of labels"]);
     let mapped = format!("@room --labels @half.npy {map} --out @out");
     refused(&adapt(&folder, &mapped), 2, &["an adaptation of other labels"]);
     let said = told(&adapt(&folder, &format!("{mapped} --anew")));
