@@ -207,7 +207,7 @@ fn check_fixed_point(case: Case, scene: &GaussianScene, what: &str) {
         SceneFormat::Ply => assert_eq!(back, due, "{what}"),
         SceneFormat::CompressedPly => check_close(&due, &back, what),
         SceneFormat::Glb | SceneFormat::Usda | SceneFormat::Usdz => {
-            assert_eq!((&back.coord, &back.sh_dc), (&due.coord, &due.sh_dc))
+            assert_eq!((&back.coord, &back.sh_dc), (&due.coord, &due.sh_dc));
         }
         SceneFormat::Splat | SceneFormat::NpyFolder => assert_eq!(back.coord, due.coord),
         _ => {}

@@ -227,7 +227,7 @@ fn archives_hold_their_text_at_a_multiple_of_64() {
     assert_eq!(stored.scene, read(&text).unwrap().scene);
     for (name, bytes, method, said) in [
         ("b.usdc", b"PXR-USDC\0".to_vec(), CompressionMethod::Stored, "binary USD"),
-        ("b.usda", text.clone(), CompressionMethod::Deflated, "compressed"),
+        ("b.usda", text, CompressionMethod::Deflated, "compressed"),
     ] {
         let found = read(pack(name, &bytes, method)).unwrap_err().to_string();
         assert!(found.contains(said), "{found}");
