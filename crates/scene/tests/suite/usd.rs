@@ -72,6 +72,7 @@ def ParticleField3DGaussianSplat "Off" (active = false)
 {
     point3f[] positions = [(0, 0, 0)]
 }
+reorder rootPrims = ["Other", "World"]
 "#;
 
 #[test]

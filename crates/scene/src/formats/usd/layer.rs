@@ -83,7 +83,8 @@ impl Layer {
                 word @ ("def" | "over" | "class") => {
                     layer.read_prim(&mut text, "", &Ok(Affine::IDENTITY), word == "def", 0)?;
                 }
-                _ => text.skip_value()?,
+                "reorder" => skip_order(&mut text)?,
+                word => return Err(text.error(format!("expected a prim, found {word:?}"))),
             }
         }
         Ok(layer)
@@ -153,11 +154,7 @@ impl Layer {
                     text.expect(b'=')?;
                     text.skip_value()?;
                 }
-                "reorder" => {
-                    text.word()?;
-                    text.expect(b'=')?;
-                    text.skip_value()?;
-                }
+                "reorder" => skip_order(text)?,
                 word => read_property(text, word, is_gaussians.then_some(&mut prim), &mut moves)?,
             }
         }
@@ -191,6 +188,13 @@ impl Layer {
         }
         Ok(is_active)
     }
+}
+
+/// Goes behind an order of prims or properties whose first word was read.
+fn skip_order(text: &mut Text<'_>) -> Result<(), SceneError> {
+    text.word()?;
+    text.expect(b'=')?;
+    text.skip_value()
 }
 
 /// Goes behind a prim whose first word was read.
