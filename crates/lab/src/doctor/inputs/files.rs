@@ -193,6 +193,8 @@ pub(in crate::doctor) fn file_name(format: SceneFormat) -> &'static str {
         SceneFormat::Glb => "scene.glb",
         SceneFormat::Sog => "scene.sog",
         SceneFormat::Splat => "scene.splat",
+        SceneFormat::Usda => "scene.usda",
+        SceneFormat::Usdz => "scene.usdz",
         _ => "scene",
     }
 }

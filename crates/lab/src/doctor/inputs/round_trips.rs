@@ -9,13 +9,15 @@ use scenesplat_scene::{
 };
 
 /// Formats with their names.
-const CONTAINERS: [(SceneFormat, &str); 7] = [
+const CONTAINERS: [(SceneFormat, &str); 9] = [
     (SceneFormat::Ply, "ply"),
     (SceneFormat::CompressedPly, "compressed"),
     (SceneFormat::Spz, "spz"),
     (SceneFormat::Splat, "splat"),
     (SceneFormat::Sog, "sog"),
     (SceneFormat::Glb, "glb"),
+    (SceneFormat::Usda, "usda"),
+    (SceneFormat::Usdz, "usdz"),
     (SceneFormat::NpyFolder, "npy"),
 ];
 

@@ -34,13 +34,15 @@ pub(super) const KINDS: &[Kind] = &[
 ];
 
 /// Formats that the library writes.
-const FORMATS: [SceneFormat; 6] = [
+const FORMATS: [SceneFormat; 8] = [
     SceneFormat::Ply,
     SceneFormat::CompressedPly,
     SceneFormat::Spz,
     SceneFormat::Splat,
     SceneFormat::Sog,
     SceneFormat::Glb,
+    SceneFormat::Usda,
+    SceneFormat::Usdz,
 ];
 
 /// Numbers that arithmetic does not like.
