@@ -20,7 +20,7 @@ fn probes_leave_the_network_as_it_is_and_stand_beside_two_others() {
     let scenes: Vec<String> = (0..4)
         .map(|seed| {
             let scene = folder.at(&format!("room{seed}"));
-            write_npy_folder(&room(5000, seed), Path::new(&scene), false).unwrap();
+            write_npy_folder(&room(2500, seed), Path::new(&scene), false).unwrap();
             scene
         })
         .collect();

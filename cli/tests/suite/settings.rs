@@ -112,7 +112,7 @@ fn votes_and_networks_are_parts_too() {
 
 #[test]
 fn labels_agree_on_surfaces_by_themselves_or_as_asked_for() {
-    let case = Case::new(8000);
+    let case = Case::new(4000);
     let auto = case.own("segment", "labels.npy", "");
     let counts = case.receipt("surfaces").unwrap();
     assert_eq!(counts.split(' ').count(), 5, "{counts}");
@@ -129,7 +129,7 @@ fn labels_agree_on_surfaces_by_themselves_or_as_asked_for() {
 
 #[test]
 fn objects_refine_labels_if_that_is_asked_for() {
-    let case = Case::new(8000);
+    let case = Case::new(4000);
     let plain = case.own("segment", "labels.npy", "");
     assert_eq!(case.receipt("refine"), None);
     assert_eq!(plain, case.own("segment", "labels.npy", "--refine off"));
