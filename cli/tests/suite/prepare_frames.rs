@@ -306,29 +306,30 @@ fn frames_of_benchmarks_become_scenes_labels_and_networks() {
         holds(&folder, &shots, layout);
 
         // What follows reads the frames alone, which are the same for all.
-        if !["scannet", "hypersim", "rgbd"].contains(&layout) {
-            for made in ["scan", "frames"] {
-                std::fs::remove_dir_all(folder.path(made)).unwrap();
-            }
-            continue;
+        if ["scannet", "hypersim", "rgbd"].contains(&layout) {
+            teach(&folder, layout, frames);
         }
-        let optimise = "--depth @frames/depth --initial 1500 --cap 1500 --steps 20 --test-every 0";
-        done(&run(&format!("optimise {frames} {optimise} --out @made --quiet")));
-        let collect =
-            format!("collect-labels @made/scene.ply {frames} --out @labels {SMALL_PICTURE}");
-        done(&run(&collect));
-        std::fs::create_dir(folder.path("train")).unwrap();
-        done(&run("convert @made/scene.ply @train/room"));
-        for name in ["lang_feat.npy", "valid_feat_mask.npy"] {
-            std::fs::copy(folder.path("labels").join(name), folder.path("train/room").join(name))
-                .unwrap();
-        }
-        let f_miou = train(folder.root(), 0.15, 1);
-        assert!((0.0..=1.0).contains(&f_miou), "{layout}: {f_miou}");
-        for made in ["scan", "frames", "made", "labels", "train", "run", "score"] {
-            std::fs::remove_dir_all(folder.path(made)).unwrap();
+        let made = ["scan", "frames", "made", "labels", "train", "run", "score"];
+        for made in made.map(|name| folder.path(name)).iter().filter(|made| made.is_dir()) {
+            std::fs::remove_dir_all(made).unwrap();
         }
     }
+}
+
+/// Frames become a scene, labels, and a network.
+fn teach(folder: &Folder, layout: &str, frames: &str) {
+    let run = |words: &str| line(&words.replace('@', &folder.at("")));
+    let optimise = "--depth @frames/depth --initial 1500 --cap 1500 --steps 20 --test-every 0";
+    done(&run(&format!("optimise {frames} {optimise} --out @made --quiet")));
+    done(&run(&format!("collect-labels @made/scene.ply {frames} --out @labels {SMALL_PICTURE}")));
+    std::fs::create_dir(folder.path("train")).unwrap();
+    done(&run("convert @made/scene.ply @train/room"));
+    for name in ["lang_feat.npy", "valid_feat_mask.npy"] {
+        std::fs::copy(folder.path("labels").join(name), folder.path("train/room").join(name))
+            .unwrap();
+    }
+    let f_miou = train(folder.root(), 0.15, 1);
+    assert!((0.0..=1.0).contains(&f_miou), "{layout}: {f_miou}");
 }
 
 #[test]

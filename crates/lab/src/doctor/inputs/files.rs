@@ -2,6 +2,7 @@
 
 use crate::doctor::noise::Noise;
 use crate::doctor::trial::{Failure, Trial, ensure};
+use scenesplat_scene::formats::{FORMATS, FormatRow};
 use scenesplat_scene::value_policy::{Action, Rule};
 use scenesplat_scene::{
     GaussianScene, LoadedScene, Policy, ReadOptions, SceneError, SceneFormat, WriteOptions,
@@ -184,19 +185,19 @@ pub(in crate::doctor) fn check_quats(scene: &GaussianScene) -> Result<(), Failur
     Ok(())
 }
 
+/// Formats that the library writes as one file.
+pub(in crate::doctor) fn files_of_scenes() -> impl Iterator<Item = SceneFormat> {
+    let one_file = |row: &&FormatRow| row.is_writable() && ending(row).is_some();
+    FORMATS.iter().filter(one_file).map(|row| row.format)
+}
+
+fn ending(row: &FormatRow) -> Option<&'static str> {
+    row.endings.iter().find(|ending| ending.starts_with('.')).copied()
+}
+
 /// The name of a scene in a format.
-pub(in crate::doctor) fn file_name(format: SceneFormat) -> &'static str {
-    match format {
-        SceneFormat::Ply => "scene.ply",
-        SceneFormat::CompressedPly => "scene.compressed.ply",
-        SceneFormat::Spz => "scene.spz",
-        SceneFormat::Glb => "scene.glb",
-        SceneFormat::Sog => "scene.sog",
-        SceneFormat::Splat => "scene.splat",
-        SceneFormat::Usda => "scene.usda",
-        SceneFormat::Usdz => "scene.usdz",
-        _ => "scene",
-    }
+pub(in crate::doctor) fn file_name(format: SceneFormat) -> String {
+    format!("scene{}", ending(format.row()).unwrap_or_default())
 }
 
 /// Writes a scene by the library's writer and reads it back.

@@ -1,25 +1,12 @@
 //! Values at the edge of what is legal, through the library's own writers and readers.
 
-use super::files::{file_name, open, refused, scene, through};
+use super::files::{file_name, files_of_scenes, open, refused, scene, through};
 use crate::doctor::case::{Case, Finding};
 use crate::doctor::table::case;
 use crate::doctor::trial::{Failure, Trial, ensure};
 use scenesplat_scene::{
     GaussianScene, Policy as ReadPolicy, SceneFormat, WriteOptions, write_scene,
 };
-
-/// Formats with their names.
-const CONTAINERS: [(SceneFormat, &str); 9] = [
-    (SceneFormat::Ply, "ply"),
-    (SceneFormat::CompressedPly, "compressed"),
-    (SceneFormat::Spz, "spz"),
-    (SceneFormat::Splat, "splat"),
-    (SceneFormat::Sog, "sog"),
-    (SceneFormat::Glb, "glb"),
-    (SceneFormat::Usda, "usda"),
-    (SceneFormat::Usdz, "usdz"),
-    (SceneFormat::NpyFolder, "npy"),
-];
 
 /// What is tried with each format.
 const CHECKS: [(&str, fn(&Trial<'_>, SceneFormat) -> Result<Finding, Failure>); 6] = [
@@ -35,10 +22,12 @@ const CHECKS: [(&str, fn(&Trial<'_>, SceneFormat) -> Result<Finding, Failure>); 
 const ROWS: usize = 8;
 
 pub(super) fn cases() -> Vec<Case> {
-    let of = |&(format, name): &(SceneFormat, &str)| {
+    let of = |format: SceneFormat| {
+        // `compressed`, not `compressed-ply`.
+        let name = format.name().trim_end_matches("-ply");
         CHECKS.map(|(what, check)| case(format!("{name}-{what}"), move |t| check(t, format)))
     };
-    CONTAINERS.iter().flat_map(of).collect()
+    files_of_scenes().chain([SceneFormat::NpyFolder]).flat_map(of).collect()
 }
 
 fn half_turns(trial: &Trial<'_>, format: SceneFormat) -> Result<Finding, Failure> {
@@ -118,7 +107,7 @@ fn cut(trial: &Trial<'_>, format: SceneFormat) -> Result<Finding, Failure> {
     let half = if format == SceneFormat::Splat { 5 } else { whole.len() / 2 };
     for rest in [half, whole.len() - 5] {
         std::fs::write(&file, &whole[..rest])?;
-        refused(open(&path, ReadPolicy::Repair), &[file_name(format)])?;
+        refused(open(&path, ReadPolicy::Repair), &[&file_name(format)])?;
     }
     Ok(Finding::right())
 }

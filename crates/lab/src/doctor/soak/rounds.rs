@@ -1,7 +1,9 @@
 //! The kinds of rounds.
 
 use super::{Kind, Outcome};
-use crate::doctor::inputs::files::{Columns, Encoding, columns, file_name, open, ply, scene};
+use crate::doctor::inputs::files::{
+    Columns, Encoding, columns, file_name, files_of_scenes, open, ply, scene,
+};
 use crate::doctor::noise::Noise;
 use crate::doctor::scenes::{check_features, network};
 use crate::doctor::trial::{Failure, ensure};
@@ -31,18 +33,6 @@ pub(super) const KINDS: &[Kind] = &[
     Kind { name: "effects", run: effects },
     Kind { name: "transforms", run: transforms },
     Kind { name: "pictures", run: pictures },
-];
-
-/// Formats that the library writes.
-const FORMATS: [SceneFormat; 8] = [
-    SceneFormat::Ply,
-    SceneFormat::CompressedPly,
-    SceneFormat::Spz,
-    SceneFormat::Splat,
-    SceneFormat::Sog,
-    SceneFormat::Glb,
-    SceneFormat::Usda,
-    SceneFormat::Usdz,
 ];
 
 /// Numbers that arithmetic does not like.
@@ -137,7 +127,8 @@ fn check_scene(scene: &GaussianScene) -> Result<(), Failure> {
 
 /// A file of any format with some bytes changed, cut or doubled: it is read or refused.
 fn files(bath: &mut Bath, rng: &mut Noise) -> Result<Outcome, Failure> {
-    let format = pick(rng, &FORMATS);
+    let formats: Vec<SceneFormat> = files_of_scenes().collect();
+    let format = pick(rng, &formats);
     let path = bath.folder.join(file_name(format));
     let degree = rng.below(4) as u8;
     let written = scene(some_rows(rng), degree, rng.next());
