@@ -45,7 +45,7 @@ pub struct Args {
     pub scale: Option<f64>,
     /// Renames the axes: the directions of +x, +y, +z as letters of right/left, up/down,
     /// forward/back. FROM is RDF if not given, the frame of scenes in memory. SPZ, glTF and USD files
-    /// have a frame of their own, are converted by themselves, and refuse this.
+    /// are converted from and to the frame of their format: read, they refuse it as FROM; written, they refuse this.
     #[arg(long, value_name = "[FROM:]TO")]
     pub frame: Option<FrameChange>,
     /// Turns the scene so that this direction of it becomes +z: +x, -x, +y, -y, +z, -z, X,Y,Z, or auto for
