@@ -139,97 +139,82 @@ fn extent(scene: &GaussianScene, turn: &Matrix3) -> ([f32; 3], [f32; 3]) {
 
 /// The arrays in the order of the file. Both frames differ by signs only.
 fn arrays<'a>(scene: &'a GaussianScene, turn: &Matrix3) -> Vec<Array<'a>> {
+    let mut all = shapes(scene, turn);
+    all.extend(labels(scene));
+    all
+}
+
+/// Where Gaussians lie and how they look.
+fn shapes<'a>(scene: &'a GaussianScene, turn: &Matrix3) -> Vec<Array<'a>> {
     let rows = scene.len();
-    let array = |name: String, about: &str, rows, text: RowText<'a>| Array {
-        name,
-        about: about.to_owned(),
-        rows,
-        text,
-    };
     let [x, y, z] = [0, 1, 2].map(|i| turn[i][i] as f32);
     let bands = scene.sh_rest_len();
     let mut signs = vec![1.0f32; bands * 3];
     ShRotation::new(turn).apply(&mut signs);
-    let mut all = vec![
-        array(
-            "point3f[] positions".to_owned(),
-            "",
-            rows,
-            Box::new(move |row, text| {
-                let [a, b, c] = scene.coord[row];
-                tuple(text, &[x * a, y * b, z * c]);
-            }),
-        ),
-        array(
-            "quatf[] orientations".to_owned(),
-            "",
-            rows,
-            Box::new(move |row, text| {
-                let [w, a, b, c] = canonical_quat(scene.quat[row]);
-                tuple(text, &[w, y * z * a, x * z * b, x * y * c]);
-            }),
-        ),
-        array(
-            "float3[] scales".to_owned(),
-            "",
-            rows,
-            Box::new(|row, text| {
-                tuple(text, &scene.log_scale[row].map(scale_code));
-            }),
-        ),
-        array(
-            "float[] opacities".to_owned(),
-            "",
-            rows,
-            Box::new(|row, text| {
-                number(text, alpha_code(scene.opacity_logit[row]));
-            }),
-        ),
-        array(
-            format!("float3[] {HARMONICS}"),
-            "",
-            rows * (1 + bands),
-            Box::new(move |at, text| {
-                let (row, k) = (at / (1 + bands), at % (1 + bands));
-                match k.checked_sub(1) {
-                    None => tuple(text, &scene.sh_dc[row]),
-                    Some(k) => {
-                        let first = (row * bands + k) * 3;
-                        tuple(text, &[0, 1, 2].map(|i| signs[3 * k] * scene.sh_rest[first + i]));
-                    }
-                }
-            }),
-        ),
-    ];
-    const EACH: &str = " (\n        interpolation = \"vertex\"\n    )";
+    let positions: RowText<'a> = Box::new(move |row, text| {
+        let [a, b, c] = scene.coord[row];
+        tuple(text, &[x * a, y * b, z * c]);
+    });
+    let orientations: RowText<'a> = Box::new(move |row, text| {
+        let [w, a, b, c] = canonical_quat(scene.quat[row]);
+        tuple(text, &[w, y * z * a, x * z * b, x * y * c]);
+    });
+    let scales: RowText<'a> =
+        Box::new(|row, text| tuple(text, &scene.log_scale[row].map(scale_code)));
+    let opacities: RowText<'a> =
+        Box::new(|row, text| number(text, alpha_code(scene.opacity_logit[row])));
+    let harmonics: RowText<'a> = Box::new(move |at, text| {
+        let (row, k) = (at / (1 + bands), at % (1 + bands));
+        match k.checked_sub(1) {
+            None => tuple(text, &scene.sh_dc[row]),
+            Some(k) => {
+                let first = (row * bands + k) * 3;
+                tuple(text, &[0, 1, 2].map(|i| signs[3 * k] * scene.sh_rest[first + i]));
+            }
+        }
+    });
+    let array =
+        |name: &str, rows, text| Array { name: name.to_owned(), about: String::new(), rows, text };
+    vec![
+        array("point3f[] positions", rows, positions),
+        array("quatf[] orientations", rows, orientations),
+        array("float3[] scales", rows, scales),
+        array("float[] opacities", rows, opacities),
+        array(&format!("float3[] {HARMONICS}"), rows * (1 + bands), harmonics),
+    ]
+}
+
+/// Classes, objects, scores and language codes, as far as there are any.
+fn labels(scene: &GaussianScene) -> Vec<Array<'_>> {
+    let rows = scene.len();
+    let each = || " (\n        interpolation = \"vertex\"\n    )".to_owned();
+    let mut all = Vec::new();
     for (name, values) in [(SEGMENT, &scene.segment), (INSTANCE, &scene.instance)] {
         if let Some(values) = values {
-            all.push(array(
-                format!("int[] {name}"),
-                EACH,
-                rows,
-                Box::new(|row, text| {
-                    // Negative means none, whichever negative it is.
-                    let _ = write!(text, "{}", values[row].max(-1));
-                }),
-            ));
+            let text: RowText<'_> = Box::new(|row, text| {
+                // Negative means none, whichever negative it is.
+                let _ = write!(text, "{}", values[row].max(-1));
+            });
+            all.push(Array { name: format!("int[] {name}"), about: each(), rows, text });
         }
     }
     if let Some(values) = &scene.segment_score {
-        let text: RowText<'a> = Box::new(|row, text| number(text, values[row]));
-        all.push(array(format!("float[] {SEGMENT_SCORE}"), EACH, rows, text));
+        let text: RowText<'_> = Box::new(|row, text| number(text, values[row]));
+        all.push(Array { name: format!("float[] {SEGMENT_SCORE}"), about: each(), rows, text });
     }
     if let Some(code) = &scene.lang_code {
         let k = code.width();
         let about =
             format!(" (\n        elementSize = {k}\n        interpolation = \"vertex\"\n    )");
-        let text: RowText<'a> = Box::new(|at, text| number(text, code.values[at].to_f32()));
-        all.push(array(format!("half[] {LANG_CODE}"), &about, code.values.len(), text));
+        let text: RowText<'_> = Box::new(|at, text| number(text, code.values[at].to_f32()));
+        let name = format!("half[] {LANG_CODE}");
+        all.push(Array { name, about, rows: code.values.len(), text });
         for (name, values) in
             [(CODEBOOK_MEAN, &code.codebook.mean), (CODEBOOK_AXES, &code.codebook.axes)]
         {
-            let text: RowText<'a> = Box::new(|at, text| number(text, values[at]));
-            all.push(array(format!("custom float[] {name}"), "", values.len(), text));
+            let text: RowText<'_> = Box::new(|at, text| number(text, values[at]));
+            let name = format!("custom float[] {name}");
+            all.push(Array { name, about: String::new(), rows: values.len(), text });
         }
     }
     all
