@@ -101,7 +101,7 @@ mod tests {
         assert_eq!(Calibration::of(&Weights::Seeded(3)).unwrap(), None);
         let own = Calibration::embedded().unwrap();
         assert_eq!(Calibration::of(&Weights::Embedded).unwrap(), Some(own));
-        let assets = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("assets/embedded");
+        let assets = scenesplat_test_support::repository().join("assets/embedded");
         for name in [FILE, "model.safetensors"] {
             std::fs::copy(assets.join(name), folder.path().join(name)).unwrap();
         }

@@ -453,7 +453,7 @@ mod tests {
 
     #[test]
     fn every_configuration_of_the_project_is_right() {
-        let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("configs");
+        let root = scenesplat_test_support::repository().join("configs");
         let folders = [
             root.clone(),
             root.join("language_pretraining"),

@@ -240,9 +240,8 @@ mod tests {
     use scenesplat_datasets::chunking::{ChunkFolder, ChunkSettings};
     use scenesplat_rooms::{SyntheticRoomSettings, generate};
     use scenesplat_scene::formats::npy_folder::write_npy_folder;
+    use scenesplat_test_support::repository;
     use std::path::Path;
-
-    const ROOT: &str = env!("CARGO_MANIFEST_DIR");
 
     #[test]
     fn few_labels_are_the_same_in_every_epoch() {
@@ -321,7 +320,7 @@ mod tests {
     }
 
     fn read(file: &str, data: &Path) -> ExperimentConfig {
-        let path = Path::new(ROOT).join("configs").join(file);
+        let path = repository().join("configs").join(file);
         let value = |_: &str| Some(data.display().to_string());
         ExperimentConfig::read_with(&path, &value).unwrap()
     }

@@ -19,6 +19,6 @@ mod small_siglip;
 pub use experiment::{Network, SMALL_SEGMENTATION};
 pub use golden::{Golden, compare_relative, relative_error};
 pub use schema::schema_problems;
-pub use shared::shared;
+pub use shared::{repository, shared};
 pub use small_encoder::SmallEncoder;
 pub use small_siglip::small_siglip;

@@ -95,11 +95,11 @@ mod tests {
 
     #[test]
     fn whole_pipelines_give_what_a_network_can_read() {
-        let scene = room(20_000);
+        let scene = room(6_000);
         for steps in [language_pretraining(0.02), semantic_segmentation(0.02), validation(0.02)] {
-            for seed in 0..6 {
+            for seed in 0..4 {
                 let sample = run(&steps, &scene, seed);
-                assert!(!sample.is_empty() && sample.len() <= 20_000);
+                assert!(!sample.is_empty() && sample.len() <= 6_000);
                 let feat = InputFeatures::default().sample_rows(&sample).unwrap();
                 assert!(feat.iter().all(|v| v.is_finite()));
                 assert_eq!(sample, run(&steps, &scene, seed));

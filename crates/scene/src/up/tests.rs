@@ -102,16 +102,13 @@ fn mirrored(scene: &GaussianScene, every: usize) -> GaussianScene {
 #[test]
 fn what_a_shiny_floor_shows_below_itself_is_no_part_of_the_room() {
     let confidence = guess_up(&points(), StatedUp::UPRIGHT).confidence;
-    for every in [2, 4, 10] {
-        let scene = mirrored(&points(), every);
-        for turn in turns() {
-            let due = Up::new(turn.map(|row| dot(row, [0.0, 0.0, 1.0]))).unwrap();
-            let guess = guess_up(&turned(&scene, turn), StatedUp::UPRIGHT);
-            let off = guess.candidates[0].direction.degrees_from(due);
-            assert!(off < 1.0, "1 of {every}, {off} degrees: {guess:?}");
-            let change = (guess.confidence - confidence).abs();
-            assert!(change < 0.1, "1 of {every}: {confidence} alone, {}", guess.confidence);
-        }
+    for (every, turn) in [2, 4, 10].into_iter().zip(turns()) {
+        let due = Up::new(turn.map(|row| dot(row, [0.0, 0.0, 1.0]))).unwrap();
+        let guess = guess_up(&turned(&mirrored(&points(), every), turn), StatedUp::UPRIGHT);
+        let off = guess.candidates[0].direction.degrees_from(due);
+        assert!(off < 1.0, "1 of {every}, {off} degrees: {guess:?}");
+        let change = (guess.confidence - confidence).abs();
+        assert!(change < 0.1, "1 of {every}: {confidence} alone, {}", guess.confidence);
     }
 }
 

@@ -154,7 +154,7 @@ mod tests {
 
     #[test]
     fn the_documentation_shows_every_row() {
-        let path = concat!(env!("CARGO_MANIFEST_DIR"), "/../../docs/bad_values.md");
+        let path = scenesplat_test_support::repository().join("docs/bad_values.md");
         let text = std::fs::read_to_string(path).unwrap();
         let table = text.lines().skip_while(|l| !l.starts_with("| field | value"));
         let table = table.take_while(|l| l.starts_with('|'));

@@ -8,7 +8,7 @@ use scenesplat_scene::picture::RgbPicture;
 use std::path::{Path, PathBuf};
 
 fn data(name: &str) -> PathBuf {
-    Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/data/onnx").join(name)
+    scenesplat_test_support::repository().join("crates/vision/tests/data/onnx").join(name)
 }
 
 fn runtime() -> Option<OnnxRuntime> {

@@ -301,7 +301,8 @@ fn hypersim_copy(mini: &Mini) -> PathBuf {
             }
         }
     }
-    let from = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/data/hypersim/ai_000_001");
+    let from =
+        scenesplat_test_support::repository().join("datasets/tests/data/hypersim/ai_000_001");
     let to = mini.at("ai_000_001");
     copy(&from, &to);
     to
