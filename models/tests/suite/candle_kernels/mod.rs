@@ -60,14 +60,23 @@ fn alone() -> MutexGuard<'static, ()> {
     GRID.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
-fn symbol<T>(name: &str) -> libloading::Symbol<'static, T> {
+fn address(name: &str) -> *const () {
     let library = LIBRARY.as_ref().unwrap();
-    // SAFETY: types are checked by the results.
-    unsafe { library.get(name.as_bytes()) }.unwrap_or_else(|_| panic!("no kernel {name}"))
+    // SAFETY: read as a bare address.
+    *unsafe { library.get(name.as_bytes()) }.unwrap_or_else(|_| panic!("no kernel {name}"))
 }
 
-/// Calls `one` for each thread of a grid; threads of a block that `meet` run at once.
-fn grid(blocks: u32, threads: u32, meet: bool, one: impl Fn() + Sync) {
+/// The function of this name; `F` is its type.
+fn symbol<F: Copy>(name: &str) -> F {
+    let address = address(name);
+    assert_eq!(size_of::<F>(), size_of_val(&address));
+    // SAFETY: a function pointer from an address; types are checked by the results.
+    unsafe { std::mem::transmute_copy(&address) }
+}
+
+/// Calls `one` for each thread of a grid; threads of a block that `meet` run at once. Not generic: hundreds of kernels would
+/// each compile it again.
+fn grid(blocks: u32, threads: u32, meet: bool, one: &(dyn Fn() + Sync)) {
     let place = symbol::<unsafe extern "C" fn(u32, u32, u32, u32)>("place");
     // SAFETY: as declared in grid.h.
     let place = |block, thread| unsafe { place(block, thread, blocks, threads) };
@@ -84,7 +93,7 @@ fn grid(blocks: u32, threads: u32, meet: bool, one: impl Fn() + Sync) {
         *BARRIER.write().unwrap() = Some(Barrier::new(threads as usize));
         std::thread::scope(|scope| {
             for thread in 0..threads {
-                let (place, one) = (&place, &one);
+                let place = &place;
                 std::thread::Builder::new()
                     .stack_size(64 << 10)
                     .spawn_scoped(scope, move || {
@@ -98,24 +107,24 @@ fn grid(blocks: u32, threads: u32, meet: bool, one: impl Fn() + Sync) {
 }
 
 /// Starts a kernel that goes over `count` elements, on the grid that candle sizes for them, and compares what it makes of `out`.
-fn check<F: Sync + 'static, O: WithDType>(
+fn check<F: Copy + Sync, O: WithDType>(
     name: &str,
     mut out: Vec<O>,
     count: usize,
     expected: &[O],
-    call: impl Fn(&F, *mut O) + Sync,
+    call: impl Fn(F, *mut O) + Sync,
 ) {
     let kernel = symbol::<F>(name.split(',').next().unwrap());
     let to = out.as_mut_ptr() as usize;
-    grid((count as u32).div_ceil(1024), 1024, false, || call(&kernel, to as *mut O));
+    grid((count as u32).div_ceil(1024), 1024, false, &|| call(kernel, to as *mut O));
     close(name, &out, expected);
 }
 
 /// As [`check`] of a new array.
-fn made<F: Sync + 'static, O: WithDType>(
+fn made<F: Copy + Sync, O: WithDType>(
     name: &str,
     expected: candle_core::Result<Tensor>,
-    call: impl Fn(&F, *mut O) + Sync,
+    call: impl Fn(F, *mut O) + Sync,
 ) {
     let expected = flat::<O>(&expected.unwrap());
     check(name, vec![O::zero(); expected.len()], expected.len(), &expected, call);
@@ -169,7 +178,7 @@ fn close<T: WithDType>(what: &str, got: &[T], expected: &[T]) {
 type Unary<T> = unsafe extern "C" fn(u64, u64, *const u64, *const T, *mut T);
 
 /// Runs a kernel of one input, contiguous and transposed.
-fn unary<T: WithDType>(name: &str, input: &[T], of: impl Fn(&Tensor) -> Result<Tensor>) {
+fn unary<T: WithDType>(name: &str, input: &[T], of: fn(&Tensor) -> Result<Tensor>) {
     let name = format!("{name}_{}", T::DTYPE.as_str());
     let n = input.len();
     // SAFETY: lengths as the text reads and writes them; so in all that follows.
@@ -379,7 +388,7 @@ fn selected<T: WithDType, I: WithDType>(name: &str, x: &Tensor, source: &[T]) {
     let kernel = symbol::<Select<T, I>>(name);
     let mut out = vec![T::zero(); count];
     let to = out.as_mut_ptr() as usize;
-    grid(1, 1024, false, || unsafe {
+    grid(1, 1024, false, &|| unsafe {
         let (c, n, to) = (count as u64, n as u64, to as *mut T);
         kernel(c, 1, shape.as_ptr(), wrong.as_ptr(), source.as_ptr(), to, 2, 5, n, 3);
     });
@@ -433,7 +442,7 @@ fn over_rows<T: WithDType, O: WithDType>(root: &str, all: &[T], x: &Tensor, of: 
         true => (kept as u32, over.min(1024).next_power_of_two() as u32, all.len()),
         false => (1, 256, kept),
     };
-    grid(blocks, threads, meet, || unsafe {
+    grid(blocks, threads, meet, &|| unsafe {
         kernel(count as u64, over as u64, 2, shape.as_ptr(), all.as_ptr(), to as *mut O);
     });
     close(&format!("{name} of {over}"), &out, &flat(&of(x).unwrap()));
@@ -502,7 +511,7 @@ fn same_bits<A: WithDType + std::fmt::Debug, B: WithDType + std::fmt::Debug>(
     let kernel = symbol::<Cast<A, B>>(&name);
     let mut out = vec![B::zero(); input.len()];
     let (n, to) = (input.len(), out.as_mut_ptr() as usize);
-    grid((n as u32).div_ceil(1024), 1024, false, || unsafe {
+    grid((n as u32).div_ceil(1024), 1024, false, &|| unsafe {
         kernel(n as u64, 1, null(), input.as_ptr(), to as *mut B)
     });
     for (got, v) in out.iter().zip(input) {
