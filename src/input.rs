@@ -4,11 +4,13 @@ use crate::inference::{EncodeError, SceneFeatures};
 use crate::lifted::{IndexedRows, LiftedError, clusters_beside};
 use crate::outputs::OpenedScene;
 use scenesplat_datasets::{DataError, PointSettings, SurfacePoints, gaussians_from_points};
-use scenesplat_scene::formats::labelled_ply::{LABEL_NAMES, read_labelled_ply};
+use scenesplat_scene::formats::labelled_ply::{LABEL_NAMES, cloud_of};
 use scenesplat_scene::formats::npy::NpyFile;
 use scenesplat_scene::formats::ply::{PlyFile, is_ply};
+use scenesplat_scene::formats::read_ply;
 use scenesplat_scene::{
     GaussianScene, LanguageFeatures, LoadedScene, ReadOptions, SceneError, SceneFormat, open_scene,
+    open_scene_bytes,
 };
 use std::ffi::OsStr;
 use std::io::Read;
@@ -68,7 +70,37 @@ pub fn open_input(
     if !labelled_cloud(path, label) {
         return Ok((OpenedScene { loaded: open_scene(path, options)?, converted: false }, None));
     }
-    let (cloud, report) = read_labelled_ply(path, options.policy, label)?;
+    discs_of_points(&PlyFile::open(path)?, options)
+}
+
+/// As [`open_input`], of the bytes of a file, which are given away; `path` is for messages. What a file refers to is not there.
+///
+/// # Errors
+/// As [`open_input`].
+pub fn open_input_owned(
+    bytes: Vec<u8>,
+    path: &Path,
+    options: &ReadOptions,
+) -> Result<(OpenedScene, Option<String>), InputError> {
+    let loaded = if is_ply(&bytes) {
+        let ply = PlyFile::from_owned(bytes, path)?;
+        if is_labelled_cloud(&ply, options.segment.as_deref()) {
+            return discs_of_points(&ply, options);
+        }
+        read_ply(&ply, options)?
+    } else {
+        open_scene_bytes(&bytes, path, options)?
+    };
+    Ok((OpenedScene { loaded, converted: false }, None))
+}
+
+/// The points of a labeled point cloud as discs, and what to say of it.
+fn discs_of_points(
+    ply: &PlyFile,
+    options: &ReadOptions,
+) -> Result<(OpenedScene, Option<String>), InputError> {
+    let path = ply.path();
+    let (cloud, report) = cloud_of(ply, options.policy, options.segment.as_deref())?;
     let points = SurfacePoints {
         coord: cloud.coord,
         color: cloud.color,
@@ -199,7 +231,7 @@ fn labelled_cloud(path: &Path, label: Option<&str>) -> bool {
 }
 
 /// Whether the file holds points with labels rather than splats. `label`: the column that is said to hold them.
-pub fn is_labelled_cloud(ply: &PlyFile, label: Option<&str>) -> bool {
+fn is_labelled_cloud(ply: &PlyFile, label: Option<&str>) -> bool {
     let Some(vertex) = ply.element("vertex") else { return false };
     let has = |names: &[&str]| names.iter().any(|n| vertex.has(n));
     vertex.has("x")

@@ -38,7 +38,7 @@ class Page {
   /** Another scene takes the place of this one. */
   close(): void {
     this.ending.abort();
-    this.stage?.close();
+    void this.stage?.close();
   }
 
   async start(): Promise<void> {

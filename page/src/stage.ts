@@ -78,10 +78,13 @@ export class Stage {
     return stage;
   }
 
-  /** Gives the graphics processor back. */
-  close(): void {
+  /** Gives the graphics processor back, after the sort that runs: it reads from there, and would fail. */
+  async close(): Promise<void> {
     this.renderer.setAnimationLoop(null);
     this.resizing.disconnect();
+    const busy = () => this.spark.sorting || this.spark.sortTimeoutId !== -1;
+    for (let waits = 0; busy() && waits < 500; waits++) await new Promise((done) => setTimeout(done, 10));
+    this.spark.dispose();
     this.mesh.dispose();
     this.renderer.dispose();
     this.renderer.forceContextLoss();

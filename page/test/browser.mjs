@@ -38,7 +38,14 @@ export async function open(browser, url, { width = 960, height = 640, mobile = f
       bad.push(`${message.type()}: ${text.slice(0, 300)}`);
     }
   });
-  page.on("pageerror", (error) => bad.push(`error: ${String(error).slice(0, 300)}`));
+  // With what was thrown even where that is no error, and where.
+  const session = await page.createCDPSession();
+  await session.send("Runtime.enable");
+  session.on("Runtime.exceptionThrown", ({ exceptionDetails: { text, exception, stackTrace } }) => {
+    const what = exception?.description ?? exception?.value ?? "";
+    const where = stackTrace?.callFrames.map((f) => `${f.functionName}:${f.lineNumber}:${f.columnNumber}`).join(" ");
+    bad.push(`error: ${text} ${what} ${where ?? ""}`.slice(0, 600));
+  });
   page.on("dialog", (dialog) => {
     bad.push(`dialog: ${dialog.message()}`);
     void dialog.dismiss();

@@ -4,15 +4,16 @@ use super::labelled::{LabelArgs, Labelled};
 use super::meant::Asking;
 use crate::error::refuse;
 use crate::flags::Shared;
-use crate::frame::frame;
+use crate::frame::{Frame, frame};
 use crate::session::Session;
 use crate::terminal::print;
-use anyhow::Result;
+use anyhow::{Context, Result};
 use scenesplat::object_picture;
-use scenesplat::objects::{Catalogue, Floor, Object, table};
+use scenesplat::objects::colliders::{ColliderSettings, colliders, colliders_glb};
+use scenesplat::objects::{Catalogue, Floor, Object, ObjectInput, table};
 use scenesplat::preview::write_png;
 use scenesplat::scene::formats::inria_ply::write_inria_ply;
-use scenesplat::scene::{GaussianScene, printable_text};
+use scenesplat::scene::{AtomicFile, GaussianScene, printable_text};
 use std::path::PathBuf;
 
 /// Lists the objects of a scene: class, score, Gaussians, box, volume, place, distance from the walls, height over the
@@ -32,6 +33,17 @@ pub struct Args {
     /// Also writes each object as a PLY file into the folder DIR of the output folder.
     #[arg(long, value_name = "DIR")]
     pub export: Option<String>,
+    /// Also writes colliders.glb, a mesh for each object, floor and walls among them: the surface of the cubes, this wide in
+    /// meters, that its Gaussians touch.
+    #[arg(
+        long,
+        value_name = "METERS",
+        num_args = 0..=1,
+        require_equals = true,
+        default_missing_value = "0.05",
+        value_parser = parse_cell
+    )]
+    pub colliders: Option<f64>,
     /// Also writes edited.ply without the objects of these classes, or that a phrase such as "lamp on the desk" or "not a
     /// wall" means; comma-separated.
     #[arg(long, value_name = "NAMES", value_delimiter = ',', conflicts_with = "keep")]
@@ -61,10 +73,12 @@ pub fn run(args: &Args, line: &str) -> Result<()> {
     let folder =
         args.export.as_deref().map(|name| check_folder(name).map(|()| name)).transpose()?;
     let edits = !args.remove.is_empty() || !args.keep.is_empty();
-    let more: &[&str] = if edits { &["edited.ply"] } else { &[] };
+    let mut more = Vec::new();
+    more.extend(edits.then_some("edited.ply"));
+    more.extend(args.colliders.map(|_| "colliders.glb"));
     session
         .outputs
-        .open_folder(&[&OBJECT_FILES[..], &["objects.md", "objects.png"], more].concat())?;
+        .open_folder(&[&OBJECT_FILES[..], &["objects.md", "objects.png"], &more].concat())?;
     let labelled = labels.label(&session, edits || folder.is_some())?;
     let frame = frame(&session, &labelled.opened, inference);
     let found = labelled.objects(&session, &labels.settings(), labels.pieces, frame)?;
@@ -86,6 +100,9 @@ pub fn run(args: &Args, line: &str) -> Result<()> {
     }
     let _stage = session.receipt.stage("write");
     session.write_text("objects.md", &table::markdown(&found))?;
+    if let Some(cell) = args.colliders {
+        write_colliders(&session, &labelled, frame, &found, cell)?;
+    }
     let scene = with_instances(&labelled, &found);
     if let Some(folder) = folder {
         export(&session, &scene, &found, folder)?;
@@ -144,6 +161,44 @@ pub fn write_objects(session: &Session<'_>, labelled: &Labelled, found: &Catalog
         session.write_text(name, &text)?;
     }
     Ok(())
+}
+
+fn parse_cell(text: &str) -> Result<f64, String> {
+    let cell = text.parse().ok().filter(|cell| (0.005..=2.0).contains(cell));
+    cell.ok_or_else(|| "expected the edge of cubes, 0.005 to 2 meters".to_owned())
+}
+
+fn write_colliders(
+    session: &Session<'_>,
+    labelled: &Labelled,
+    frame: Frame,
+    found: &Catalogue,
+    cell: f64,
+) -> Result<()> {
+    let scene = &labelled.opened.loaded.scene;
+    let input = ObjectInput {
+        scene,
+        labels: &labelled.labels,
+        scores: None,
+        instances: None,
+        features: None,
+        names: &labelled.names,
+        upright: frame.upright,
+        metres_per_unit: frame.metres_per_unit,
+        floor: frame.floor,
+    };
+    let settings = ColliderSettings { cell, ..ColliderSettings::default() };
+    let hulls = colliders(&input, found, &settings)?;
+    let triangles: usize = hulls.iter().map(|hull| hull.triangles.len()).sum();
+    let (of, objects) = (hulls.len(), found.objects.len());
+    print(&format!(
+        "colliders.glb: {of} of {objects} objects as cubes of {cell} m, {triangles} triangles; {} labeled Gaussians in no object \
+         are left out",
+        found.left_over
+    ));
+    let file = colliders_glb(&hulls, scene.origin)
+        .context("colliders.glb would exceed 4 GiB: give larger cubes, such as --colliders=0.1")?;
+    session.write("colliders.glb", |path| AtomicFile::write(path, &file))
 }
 
 /// The scene with its labels, scores and objects in it.

@@ -55,6 +55,26 @@ fn objects_are_listed_drawn_exported_and_taken_out() {
     assert_eq!(edited.len(), scene.len() - gone);
     assert!(edited.segment.unwrap().iter().all(|l| *l != 0));
 
+    // A hull for each object, in the box of the scene; wide cubes are fewer.
+    let glb = |file: &[u8]| -> Value {
+        let length = u32::from_le_bytes(*file[12..].first_chunk().unwrap()) as usize;
+        serde_json::from_slice(&file[20..20 + length]).unwrap()
+    };
+    let said = printed(&run("--colliders=0.2"));
+    let (hulls, coarse) = (glb(&bytes(out("colliders.glb"))), bytes(out("colliders.glb")).len());
+    has(&said, &[&format!("colliders.glb: {large} of {large} objects as cubes of 0.2 m")]);
+    assert_eq!(hulls["nodes"].as_array().unwrap().len(), large);
+    assert_eq!(hulls["nodes"][0]["name"], "001-wall");
+    let up = |v: &Value, end: &str| v[end][1].as_f64().unwrap();
+    let positions = hulls["accessors"].as_array().unwrap().iter().step_by(2);
+    let heights = scene.coord.iter().map(|p| f64::from(p[2]));
+    let (low, high) = heights.fold((9.0f64, -9.0f64), |(l, h), z| (l.min(z), h.max(z)));
+    for hull in positions {
+        assert!(up(hull, "min") >= low - 0.4 && up(hull, "max") <= high + 0.4, "{hull}");
+    }
+    done(&run("--colliders"));
+    assert!(bytes(out("colliders.glb")).len() > 2 * coarse);
+
     // What a phrase denies is told by the objects that remain; a place that objects do not tell is refused.
     let said = printed(&run("--find 'not a wall'"));
     assert!(!said.contains("\"wall\": "), "{said}");
@@ -68,6 +88,8 @@ fn objects_are_listed_drawn_exported_and_taken_out() {
         ("--remove wall --keep floor", "cannot be used with"),
         ("--weights seeded:0", "leave out --weights"),
         ("--gap 0", "above 0"),
+        ("--colliders=0.001", "0.005 to 2 meters"),
+        ("--colliders=wide", "0.005 to 2 meters"),
         ("--min-count 0", "min_count"),
     ] {
         let output = run(more);

@@ -2,17 +2,16 @@
 
 use crate::labelling::{Labelled, Stage, Tell, label};
 use scenesplat::inference::EncodeError;
-use scenesplat::input::is_labelled_cloud;
+use scenesplat::input::{InputError, open_input_owned};
 use scenesplat::labels::LabelError;
 use scenesplat::network::{NetworkError, WeightOptions, Weights};
 use scenesplat::objects::ObjectError;
 use scenesplat::page::{PageError, PageInput, PageSettings, near_classes, page_parts};
 #[cfg(any(test, target_family = "wasm"))]
 use scenesplat::scene::SceneFormat;
-use scenesplat::scene::formats::ply::{PlyFile, is_ply};
 #[cfg(target_family = "wasm")]
 use scenesplat::scene::{GaussianScene, WriteOptions, formats::written_scene};
-use scenesplat::scene::{LoadedScene, ReadOptions, SceneError, open_scene_owned};
+use scenesplat::scene::{LoadedScene, ReadOptions, SceneError};
 use scenesplat::{Network, embedded};
 use serde_json::{Value, json};
 use std::path::Path;
@@ -27,6 +26,9 @@ pub const MOST_GAUSSIANS: usize = 2_000_000;
 pub enum EngineError {
     /// The file cannot be read.
     #[error(transparent)]
+    Input(#[from] InputError),
+    /// The scene cannot be written.
+    #[error(transparent)]
     Scene(#[from] SceneError),
     /// The scene is larger than a browser can label.
     #[error(
@@ -36,15 +38,6 @@ pub enum EngineError {
     TooLarge {
         /// Gaussians of the scene.
         count: usize,
-    },
-    /// Points without sizes.
-    #[error(
-        "{name}: is a point cloud with labels, not a scene of Gaussians; the program makes Gaussians of it (scenesplat view \
-         FILE, or scenesplat convert FILE scene.ply and drop that)"
-    )]
-    Points {
-        /// The file.
-        name: String,
     },
     /// Something is asked about a scene before there is one.
     #[error("no scene was {0} yet")]
@@ -93,6 +86,8 @@ pub enum EngineError {
 pub struct Engine {
     network: Network,
     loaded: Option<LoadedScene>,
+    /// How its Gaussians came about, where the file has none.
+    made: Option<String>,
     labelled: Option<Labelled>,
 }
 
@@ -104,7 +99,7 @@ impl Engine {
     pub fn new() -> Result<Self, EngineError> {
         let config = embedded::config()?;
         let network = Network::load(config, &Weights::Embedded, WeightOptions::default())?;
-        Ok(Self { network, loaded: None, labelled: None })
+        Ok(Self { network, loaded: None, made: None, labelled: None })
     }
 
     /// Gives the library one of the large files that it is without in a browser: `weights` or `phrases`.
@@ -130,27 +125,22 @@ impl Engine {
         bytes: Vec<u8>,
         tell: Tell<'_>,
     ) -> Result<Value, EngineError> {
-        (self.loaded, self.labelled) = (None, None);
+        (self.loaded, self.made, self.labelled) = (None, None, None);
         tell(Stage::Read, 0.0);
-        let is_cloud = is_ply(&bytes)
-            && PlyFile::from_bytes(&bytes, Path::new(name))
-                .is_ok_and(|ply| is_labelled_cloud(&ply, None));
-        if is_cloud {
-            return Err(EngineError::Points { name: name.to_owned() });
-        }
-        let loaded = open_scene_owned(bytes, Path::new(name), &ReadOptions::default())?;
+        let (opened, made) = open_input_owned(bytes, Path::new(name), &ReadOptions::default())?;
+        let (loaded, is_cloud) = (opened.loaded, opened.converted);
         if loaded.scene.len() > MOST_GAUSSIANS {
             return Err(EngineError::TooLarge { count: loaded.scene.len() });
         }
         let about = json!({
             "name": name,
-            "format": loaded.kind.name(),
+            "format": if is_cloud { "points" } else { loaded.kind.name() },
             "gaussians": loaded.scene.len(),
             "rowsOfFile": loaded.source_rows(),
             "shDegree": loaded.scene.sh_degree,
             "repairs": (!loaded.report.is_clean()).then(|| loaded.report.to_string()),
         });
-        self.loaded = Some(loaded);
+        (self.loaded, self.made) = (Some(loaded), made);
         Ok(about)
     }
 
@@ -189,6 +179,7 @@ impl Engine {
             "Labels: a small network trained on synthetic rooms; it knows a closed set of classes."
                 .to_owned(),
         ];
+        remarks.extend(self.made.clone());
         if !loaded.report.is_clean() {
             remarks.push(loaded.report.to_string());
         }
@@ -337,5 +328,47 @@ mod tests {
         let error = engine.parse("a.ply", b"ply nonsense".to_vec(), &mut |_, _| ()).unwrap_err();
         assert!(error.to_string().contains("a.ply"), "{error}");
         assert!(matches!(engine.segment(&mut |_, _| ()), Err(EngineError::Missing("read"))));
+    }
+
+    #[test]
+    fn points_become_the_discs_that_the_program_makes_of_them() {
+        let mut text = "ply\nformat ascii 1.0\nelement vertex 400\n".to_owned();
+        for name in
+            ["float x", "float y", "float z", "uchar red", "uchar green", "uchar blue", "int label"]
+        {
+            text += &format!("property {name}\n");
+        }
+        text += "end_header\n";
+        for i in 0..400 {
+            text += &format!(
+                "{} {} 0 200 100 50 {}\n",
+                0.05 * f64::from(i % 20),
+                0.05 * f64::from(i / 20),
+                i % 3
+            );
+        }
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("points.ply");
+        std::fs::write(&path, &text).unwrap();
+        let (expected, said) =
+            scenesplat::input::open_input(&path, &ReadOptions::default()).unwrap();
+        let mut engine = Engine::new().unwrap();
+        let about = engine.parse("points.ply", text.into_bytes(), &mut |_, _| ()).unwrap();
+        assert_eq!((&about["format"], &about["gaussians"]), (&json!("points"), &json!(400)));
+        let floats =
+            |values: &[f32]| values.iter().flat_map(|v| v.to_le_bytes()).collect::<Vec<u8>>();
+        assert_eq!(
+            engine.values("positions").unwrap(),
+            floats(expected.loaded.scene.coord.as_flattened())
+        );
+        assert_eq!(engine.loaded.as_ref().unwrap().scene, expected.loaded.scene);
+        let made = engine.made.as_deref().unwrap();
+        assert!(
+            said.unwrap().ends_with(made) && made.contains("400 points became discs"),
+            "{made}"
+        );
+        // What follows has none of it.
+        let error = engine.parse("a.ply", b"ply nonsense".to_vec(), &mut |_, _| ()).unwrap_err();
+        assert!(error.to_string().contains("a.ply") && engine.made.is_none(), "{error}");
     }
 }

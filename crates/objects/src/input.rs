@@ -57,6 +57,27 @@ impl ObjectInput<'_> {
         upright(&self.scene.coord, &self.upright, self.metres_per_unit)
     }
 
+    /// A place of the scene in meters with +z up.
+    pub(crate) fn to_upright(self, p: [f32; 3]) -> [f64; 3] {
+        let p = DVec3::from(p.map(f64::from)) * self.metres_per_unit;
+        self.upright.map(|row| DVec3::from(row).dot(p))
+    }
+
+    /// The axes of a Gaussian with +z up, and its standard deviations along them in meters; points have none.
+    pub(crate) fn upright_axes(self, row: usize) -> ([[f64; 3]; 3], [f64; 3]) {
+        let scene = self.scene;
+        let (Some(scale), Some(quat)) = (scene.log_scale.get(row), scene.quat.get(row)) else {
+            return (DMat3::IDENTITY.to_cols_array_2d(), [0.0; 3]);
+        };
+        let m = scenesplat_scene::vector::rotation(*quat).map(|r| r.map(f64::from));
+        let axis = |k: usize| {
+            let axis = DVec3::new(m[0][k], m[1][k], m[2][k]);
+            self.upright.map(|row| DVec3::from(row).dot(axis))
+        };
+        let size = |k: usize| f64::from(scale[k]).exp() * self.metres_per_unit;
+        ([0, 1, 2].map(axis), [0, 1, 2].map(size))
+    }
+
     /// A place of the upright frame, meters, in the frame and unit of the scene.
     pub(crate) fn to_scene(self, p: [f64; 3]) -> [f64; 3] {
         let place = DMat3::from_cols_array_2d(&self.upright) * DVec3::from(p);

@@ -2,7 +2,8 @@
 //!
 //! [`find_objects`] takes labels (and, where there are some, features or known instances) and gives a
 //! [`Catalogue`]; [`table`] writes it as JSON, CSV or Markdown, [`relations`] answers "the lamp on
-//! the desk", [`agreement`] compares with true instances, [`refine`] lets labels and objects correct each other.
+//! the desk", [`agreement`] compares with true instances, [`refine`] lets labels and objects correct each other,
+//! [`colliders`] makes meshes of them.
 //!
 //! Everything is geometry on slices: no network, no tensor library, nothing random, and the same
 //! answer for any number of threads. It is only as good as the labels: what a network calls by
@@ -34,6 +35,7 @@
 pub mod agreement;
 mod catalogue;
 mod cells;
+pub mod colliders;
 mod error;
 mod fragments;
 mod input;

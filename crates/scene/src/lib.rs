@@ -55,7 +55,7 @@ pub use folder_lock::FolderLock;
 pub use formats::cameras::{CameraKind, CameraSet, SparsePoints, open_cameras};
 pub use formats::{
     LoadedScene, ReadOptions, SceneFormat, SpzFrame, WriteOptions, WriteReport, open_scene,
-    open_scene_bytes, open_scene_owned, write_scene,
+    open_scene_bytes, write_scene,
 };
 pub use frame::Frame;
 pub use gaussian_scene::{GaussianScene, LabelledPoints, LanguageFeatures};

@@ -43,7 +43,7 @@ class App {
       e.preventDefault();
       document.body.classList.remove("over");
       const files = [...e.dataTransfer?.files ?? []];
-      if (files.length > 1) tell("Drop one file: a .ply, .spz, .sog, .splat, .ksplat, .glb or .gltf. A folder can be zipped to a .sog.");
+      if (files.length > 1) tell("Drop one file: a .ply, .spz, .sog, .splat, .ksplat, .glb, .gltf, .usda or .usdz. A folder can be zipped to a .sog.");
       else if (files.length === 1) void this.open(files[0]);
     });
     document.addEventListener("change", (e) => {
@@ -157,13 +157,13 @@ export function takeFiles(): HTMLElement {
   const input = element("input", { className: "file" });
   input.type = "file";
   input.id = "file";
-  input.accept = ".ply,.spz,.sog,.splat,.ksplat,.glb,.gltf";
+  input.accept = ".ply,.spz,.sog,.splat,.ksplat,.glb,.gltf,.usda,.usdz";
   const stop = element("button", { text: "Stop" });
   stop.id = "stop";
   stop.type = "button";
   const box = element("section", {}, [
     element("h1", { text: "Drop a scan here" }),
-    element("p", { text: "A room of 3D Gaussians: .ply, .spz, .sog, .splat, .ksplat or .glb, up to 2 million Gaussians. It is labeled on this computer, and nothing leaves this page." }),
+    element("p", { text: "A room of 3D Gaussians: .ply, .spz, .sog, .splat, .ksplat, .glb, .usda or .usdz, up to 2 million Gaussians. It is labeled on this computer, and nothing leaves this page." }),
     element("label", {}, [element("span", { text: "or choose a file " }), input]),
     stop,
   ]);

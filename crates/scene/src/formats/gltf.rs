@@ -30,7 +30,7 @@ mod primitives;
 mod spz_parts;
 mod writer;
 
-pub use container::is_glb;
+pub use container::{glb_head, is_glb};
 pub(super) use nodes::Affine;
 pub(super) use placement::Placement;
 pub(super) use writer::write_glb;

@@ -53,8 +53,8 @@ impl LabelledCloud {
 /// Reads `x y z`, labels (the named column, or the first of [`LABEL_NAMES`]) and, if there, `nx ny nz`,
 /// `red green blue` in any range, and `instance`.
 ///
-/// Positions that are doubles far from 0 are kept relative to an origin. Negative labels and 65535 in 16-bit columns become -1. A point without a finite position is
-/// left out and reported.
+/// Positions that are doubles far from 0 are kept relative to an origin. Negative labels and 65535 in 16-bit columns become -1. A
+/// point without a finite position is left out and reported.
 ///
 /// # Errors
 /// If the file is no PLY file or lacks positions or labels, if it has no usable point, or, under
@@ -64,7 +64,19 @@ pub fn read_labelled_ply(
     policy: Policy,
     label: Option<&str>,
 ) -> Result<(LabelledCloud, RepairReport), SceneError> {
-    let file = PlyFile::open(path)?;
+    cloud_of(&PlyFile::open(path)?, policy, label)
+}
+
+/// As [`read_labelled_ply`], of a file that was opened already.
+///
+/// # Errors
+/// As [`read_labelled_ply`].
+pub fn cloud_of(
+    file: &PlyFile,
+    policy: Policy,
+    label: Option<&str>,
+) -> Result<(LabelledCloud, RepairReport), SceneError> {
+    let path = file.path();
     let Some(vertex) = file.element(VERTEX) else {
         return Err(SceneError::format(path, "has no element vertex", ""));
     };
@@ -93,18 +105,18 @@ pub fn read_labelled_ply(
     let mut cloud = LabelledCloud {
         origin,
         coord,
-        segment: read_labels(&file, VERTEX, label, SEGMENT_RULES, &mut report)?,
+        segment: read_labels(file, VERTEX, label, SEGMENT_RULES, &mut report)?,
         ..LabelledCloud::default()
     };
     if all(["nx", "ny", "nz"]) {
         cloud.normal = Some(file.rows_f32(VERTEX, ["nx", "ny", "nz"])?);
     }
-    cloud.color = read_colors(&file, vertex, &mut report)?.map(|colors| colors.bytes());
+    cloud.color = read_colors(file, vertex, &mut report)?.map(|colors| colors.bytes());
     if let Some(name) = INSTANCE_NAMES.into_iter().find(|name| vertex.has(name)) {
-        let ids = read_labels(&file, VERTEX, name, INSTANCE_RULES, &mut report)?;
+        let ids = read_labels(file, VERTEX, name, INSTANCE_RULES, &mut report)?;
         cloud.instance = Some(ids);
     }
-    cloud.unread = unread(&file, vertex, label)?;
+    cloud.unread = unread(file, vertex, label)?;
     cloud.kept_rows = drop_unusable(&mut cloud, &mut report);
     report.enforce(policy, path)?;
     if cloud.coord.is_empty() {

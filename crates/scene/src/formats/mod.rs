@@ -38,7 +38,7 @@ pub(crate) use packed_values::unit_f64;
 
 use ply::Remarks;
 
-pub use open::{open_scene, open_scene_bytes, open_scene_owned};
+pub use open::{open_scene, open_scene_bytes, read_ply};
 pub(crate) use table::Writer;
 pub use table::{FORMATS, FormatRow, SceneFormat};
 #[cfg(target_family = "wasm")]

@@ -87,22 +87,11 @@ pub fn open_scene_bytes(
     Err(SceneError::format(path, problem, help))
 }
 
-/// As [`open_scene_bytes`], of bytes that are given away: those of a PLY file need not be there twice.
+/// The scene of a PLY file that was opened already, compressed or not.
 ///
 /// # Errors
 /// As [`open_scene`].
-pub fn open_scene_owned(
-    bytes: Vec<u8>,
-    path: &Path,
-    options: &ReadOptions,
-) -> Result<LoadedScene, SceneError> {
-    if ply::is_ply(&bytes) {
-        return read_ply(&PlyFile::open_mapped(InputFile::owned(bytes, path))?, options);
-    }
-    open_scene_bytes(&bytes, path, options)
-}
-
-fn read_ply(file: &PlyFile, options: &ReadOptions) -> Result<LoadedScene, SceneError> {
+pub fn read_ply(file: &PlyFile, options: &ReadOptions) -> Result<LoadedScene, SceneError> {
     if compressed_ply::is_compressed(file) {
         return compressed_ply::read_compressed_ply(file, options);
     }

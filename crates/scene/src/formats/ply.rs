@@ -103,6 +103,14 @@ impl PlyFile {
         Self::new(Data::Mapped(InputFile::from_bytes(bytes, path)), path)
     }
 
+    /// As [`from_bytes`](Self::from_bytes), of bytes that are given away: they are not there twice.
+    ///
+    /// # Errors
+    /// As [`open`](Self::open).
+    pub fn from_owned(bytes: Vec<u8>, path: &Path) -> Result<Self, SceneError> {
+        Self::open_mapped(InputFile::owned(bytes, path))
+    }
+
     fn new(mut data: Data, path: &Path) -> Result<Self, SceneError> {
         let header = parse_header(data.bytes(), path)?;
         let mut data_start = header.data_start;

@@ -14,6 +14,26 @@ pub fn is_glb(head: &[u8]) -> bool {
     head.starts_with(MAGIC)
 }
 
+/// What comes before the bytes of the binary chunk of a `.glb`, whose number is `binary`, a multiple of 4. `None` if the file would
+/// be longer than the 4 GiB that the container can hold.
+pub fn glb_head(document: &serde_json::Value, binary: u64) -> Option<Vec<u8>> {
+    let mut text = document.to_string().into_bytes();
+    text.resize(text.len().next_multiple_of(4), b' ');
+    // A chunk without bytes is left out.
+    let chunks = if binary > 0 { 2 } else { 1 };
+    let total = u32::try_from(HEADER as u64 + 8 * chunks + text.len() as u64 + binary).ok()?;
+    let mut head = MAGIC.to_vec();
+    for word in [2, total, text.len() as u32, JSON] {
+        head.extend(word.to_le_bytes());
+    }
+    head.append(&mut text);
+    if binary > 0 {
+        head.extend((binary as u32).to_le_bytes());
+        head.extend(BIN.to_le_bytes());
+    }
+    Some(head)
+}
+
 /// The JSON chunk and the binary chunk of a `.glb`.
 pub(super) fn chunks<'a>(
     bytes: &'a [u8],

@@ -1,5 +1,6 @@
 //! Writing binary glTF with `KHR_gaussian_splatting`.
 
+use super::container::glb_head;
 use crate::AtomicFile;
 use crate::bounds::bounding_box;
 use crate::formats::limit_tally::Limits;
@@ -18,8 +19,6 @@ use std::io::Write;
 const NUMBERS_PER_WRITE: usize = 1 << 20;
 /// Code of f32 in glTF.
 const FLOAT: u32 = 5126;
-/// Bytes before the content of each chunk.
-const CHUNK_HEADER: u64 = 8;
 
 /// Writes the numbers of a row of a scene.
 type RowValues = Box<dyn Fn(&GaussianScene, usize, &mut [f32]) + Sync>;
@@ -71,22 +70,12 @@ pub(in crate::formats) fn write_glb(
     let attributes = attributes(scene);
     let rows = scene.len() as u64;
     let binary: u64 = attributes.iter().map(|a| 4 * a.width as u64 * rows).sum();
-    let text = document(scene, &attributes, binary);
-    let total = 12 + 2 * CHUNK_HEADER + text.len() as u64 + binary;
-    let Ok(total) = u32::try_from(total) else {
-        let problem = format!("would be {total} bytes long, more than a .glb file can be");
+    let Some(head) = glb_head(&document(scene, &attributes, binary), binary) else {
+        let problem = format!("would hold {binary} bytes and more, too many for a .glb file");
         let help = "cut harmonics, split the scene or choose another format";
         return Err(SceneError::format(path, problem, help));
     };
     let failed = |e| SceneError::io(path, "cannot write the scene")(e);
-    let mut head = b"glTF".to_vec();
-    head.extend(2u32.to_le_bytes());
-    head.extend(total.to_le_bytes());
-    head.extend((text.len() as u32).to_le_bytes());
-    head.extend(b"JSON");
-    head.extend(&text);
-    head.extend((binary as u32).to_le_bytes());
-    head.extend(b"BIN\0");
     file.file().write_all(&head).map_err(failed)?;
     let mut written = 0u64;
     for attribute in &attributes {
@@ -168,8 +157,7 @@ fn encode(scene: &GaussianScene, attribute: &Attribute, first: usize, count: usi
     bytes
 }
 
-/// The JSON, padded with spaces to a multiple of four.
-fn document(scene: &GaussianScene, attributes: &[Attribute], binary: u64) -> Vec<u8> {
+fn document(scene: &GaussianScene, attributes: &[Attribute], binary: u64) -> Value {
     let (mut views, mut accessors, mut names) = (Vec::new(), Vec::new(), Map::new());
     let mut offset = 0u64;
     for (index, attribute) in attributes.iter().enumerate() {
@@ -191,7 +179,7 @@ fn document(scene: &GaussianScene, attributes: &[Attribute], binary: u64) -> Vec
         names.insert(attribute.name.clone(), Value::from(index));
         offset += length;
     }
-    let mut text = json!({
+    json!({
         "asset": { "version": "2.0", "generator": "scenesplat" },
         "extensionsUsed": ["KHR_gaussian_splatting"],
         "scene": 0,
@@ -211,10 +199,6 @@ fn document(scene: &GaussianScene, attributes: &[Attribute], binary: u64) -> Vec
         "bufferViews": views,
         "buffers": [{ "byteLength": binary }],
     })
-    .to_string()
-    .into_bytes();
-    text.resize(text.len().next_multiple_of(4), b' ');
-    text
 }
 
 /// The node that shows the Gaussians; it brings a scene with an origin to its place.
