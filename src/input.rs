@@ -26,6 +26,14 @@ pub enum InputError {
     /// Points that cannot be turned into Gaussians.
     #[error(transparent)]
     Points(#[from] DataError),
+    /// A point cloud that is larger than what can be labeled here.
+    #[error("{count} points, at most {most} become Gaussians here")]
+    TooMany {
+        /// Points of the file.
+        count: usize,
+        /// Most that are taken.
+        most: usize,
+    },
     /// An array that is no table of features.
     #[error("{}: expected [{rows}, D], got {shape:?}", path.display())]
     Shape {
@@ -70,22 +78,28 @@ pub fn open_input(
     if !labelled_cloud(path, label) {
         return Ok((OpenedScene { loaded: open_scene(path, options)?, converted: false }, None));
     }
-    discs_of_points(&PlyFile::open(path)?, options)
+    discs_of_points(PlyFile::open(path)?, options)
 }
 
-/// As [`open_input`], of the bytes of a file, which are given away; `path` is for messages. What a file refers to is not there.
+/// As [`open_input`], of the bytes of a file, which are given away; `path` is for messages. What a file refers to is not there. Of a
+/// point cloud at most `most` points become discs.
 ///
 /// # Errors
-/// As [`open_input`].
+/// As [`open_input`]; also if a point cloud has more points.
 pub fn open_input_owned(
     bytes: Vec<u8>,
     path: &Path,
     options: &ReadOptions,
+    most: usize,
 ) -> Result<(OpenedScene, Option<String>), InputError> {
     let loaded = if is_ply(&bytes) {
         let ply = PlyFile::from_owned(bytes, path)?;
         if is_labelled_cloud(&ply, options.segment.as_deref()) {
-            return discs_of_points(&ply, options);
+            let count = ply.element("vertex").map_or(0, |vertex| vertex.count);
+            if count > most {
+                return Err(InputError::TooMany { count, most });
+            }
+            return discs_of_points(ply, options);
         }
         read_ply(&ply, options)?
     } else {
@@ -96,11 +110,13 @@ pub fn open_input_owned(
 
 /// The points of a labeled point cloud as discs, and what to say of it.
 fn discs_of_points(
-    ply: &PlyFile,
+    ply: PlyFile,
     options: &ReadOptions,
 ) -> Result<(OpenedScene, Option<String>), InputError> {
-    let path = ply.path();
-    let (cloud, report) = cloud_of(ply, options.policy, options.segment.as_deref())?;
+    let path = ply.path().to_owned();
+    let (cloud, report) = cloud_of(&ply, options.policy, options.segment.as_deref())?;
+    // The file can be as large as what is made of it.
+    drop(ply);
     let points = SurfacePoints {
         coord: cloud.coord,
         color: cloud.color,
@@ -122,7 +138,7 @@ fn discs_of_points(
         scene,
         report,
         kept_rows: cloud.kept_rows,
-        path: path.to_owned(),
+        path,
         kind: SceneFormat::Ply,
         stated_up: SceneFormat::Ply.stated_up(),
         unread: cloud.unread,

@@ -82,8 +82,9 @@ export class Stage {
   async close(): Promise<void> {
     this.renderer.setAnimationLoop(null);
     this.resizing.disconnect();
-    const busy = () => this.spark.sorting || this.spark.sortTimeoutId !== -1;
-    for (let waits = 0; busy() && waits < 500; waits++) await new Promise((done) => setTimeout(done, 10));
+    const until = performance.now() + 5000;
+    const busy = () => (this.spark.sorting || this.spark.sortTimeoutId !== -1) && !this.renderer.getContext().isContextLost();
+    while (busy() && performance.now() < until) await new Promise((done) => setTimeout(done, 10));
     this.spark.dispose();
     this.mesh.dispose();
     this.renderer.dispose();

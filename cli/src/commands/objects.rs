@@ -9,7 +9,9 @@ use crate::session::Session;
 use crate::terminal::print;
 use anyhow::{Context, Result};
 use scenesplat::object_picture;
-use scenesplat::objects::colliders::{ColliderSettings, colliders, colliders_glb};
+use scenesplat::objects::colliders::{
+    ColliderSettings, Colliders, REACH, colliders, colliders_glb,
+};
 use scenesplat::objects::{Catalogue, Floor, Object, ObjectInput, table};
 use scenesplat::preview::write_png;
 use scenesplat::scene::formats::inria_ply::write_inria_ply;
@@ -183,19 +185,27 @@ fn write_colliders(
         instances: None,
         features: None,
         names: &labelled.names,
-        upright: frame.upright,
+        // Cubes lie along the walls.
+        upright: frame.turn,
         metres_per_unit: frame.metres_per_unit,
         floor: frame.floor,
     };
     let settings = ColliderSettings { cell, ..ColliderSettings::default() };
-    let hulls = colliders(&input, found, &settings)?;
+    let Colliders { hulls, faint, far, cut } = colliders(&input, found, &settings)?;
     let triangles: usize = hulls.iter().map(|hull| hull.triangles.len()).sum();
     let (of, objects) = (hulls.len(), found.objects.len());
-    print(&format!(
-        "colliders.glb: {of} of {objects} objects as cubes of {cell} m, {triangles} triangles; {} labeled Gaussians in no object \
-         are left out",
-        found.left_over
-    ));
+    let mut text = format!(
+        "colliders.glb: {of} of {objects} objects as cubes of {cell} m, {triangles} triangles; left out: {} labeled Gaussians in no \
+         object, {faint} fainter than {}",
+        found.left_over, settings.min_opacity
+    );
+    if far > 0 {
+        text += &format!(", {far} too far away");
+    }
+    if cut > 0 {
+        text += &format!("; {cut} wider than {REACH} m count as that");
+    }
+    print(&text);
     let file = colliders_glb(&hulls, scene.origin)
         .context("colliders.glb would exceed 4 GiB: give larger cubes, such as --colliders=0.1")?;
     session.write("colliders.glb", |path| AtomicFile::write(path, &file))

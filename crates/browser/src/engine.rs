@@ -26,7 +26,7 @@ pub const MOST_GAUSSIANS: usize = 2_000_000;
 pub enum EngineError {
     /// The file cannot be read.
     #[error(transparent)]
-    Input(#[from] InputError),
+    Input(InputError),
     /// The scene cannot be written.
     #[error(transparent)]
     Scene(#[from] SceneError),
@@ -127,7 +127,12 @@ impl Engine {
     ) -> Result<Value, EngineError> {
         (self.loaded, self.made, self.labelled) = (None, None, None);
         tell(Stage::Read, 0.0);
-        let (opened, made) = open_input_owned(bytes, Path::new(name), &ReadOptions::default())?;
+        let options = ReadOptions::default();
+        let opened = open_input_owned(bytes, Path::new(name), &options, MOST_GAUSSIANS);
+        let (opened, made) = opened.map_err(|error| match error {
+            InputError::TooMany { count, .. } => EngineError::TooLarge { count },
+            other => EngineError::Input(other),
+        })?;
         let (loaded, is_cloud) = (opened.loaded, opened.converted);
         if loaded.scene.len() > MOST_GAUSSIANS {
             return Err(EngineError::TooLarge { count: loaded.scene.len() });
@@ -367,6 +372,12 @@ mod tests {
             said.unwrap().ends_with(made) && made.contains("400 points became discs"),
             "{made}"
         );
+        // Too many are refused before anything is made of them.
+        let head = "ply\nformat binary_little_endian 1.0\nelement vertex 2000001\nproperty uchar x\nproperty uchar y\n\
+            property uchar z\nproperty uchar label\nend_header\n";
+        let many = [head.as_bytes(), &vec![0; 4 * 2_000_001]].concat();
+        let error = engine.parse("many.ply", many, &mut |_, _| ()).unwrap_err();
+        assert!(matches!(error, EngineError::TooLarge { count: 2_000_001 }), "{error}");
         // What follows has none of it.
         let error = engine.parse("a.ply", b"ply nonsense".to_vec(), &mut |_, _| ()).unwrap_err();
         assert!(error.to_string().contains("a.ply") && engine.made.is_none(), "{error}");

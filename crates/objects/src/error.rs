@@ -38,6 +38,19 @@ pub enum ObjectError {
         /// What would be right.
         expected: &'static str,
     },
+    /// Cubes of colliders that are too small.
+    #[error(
+        "cubes of {cell} m are too small for this scene: its Gaussians cover {places} places half a cube apart, at most {most} are \
+         looked at; give larger cubes"
+    )]
+    SmallCubes {
+        /// Edge of the cubes, meters.
+        cell: f64,
+        /// Places of this scene.
+        places: u64,
+        /// Most that is possible.
+        most: u64,
+    },
     /// Positions that have no neighbors.
     #[error(transparent)]
     Neighbors(#[from] NeighborError),

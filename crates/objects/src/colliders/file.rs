@@ -16,6 +16,10 @@ const TRIANGLES: u32 = 34963;
 ///
 /// `None` if the file would exceed 4 GiB.
 pub fn colliders_glb(colliders: &[Collider], origin: [f64; 3]) -> Option<Vec<u8>> {
+    let bytes = |hull: &Collider| 12 * (hull.positions.len() + hull.triangles.len()) as u64;
+    if colliders.iter().map(bytes).sum::<u64>() > u64::from(u32::MAX) {
+        return None;
+    }
     let to_file = Frame::CANONICAL.matrix_to(Frame::LUF);
     let moved =
         |p: [f64; 3]| to_file.map(|row| row[0] * p[0] + row[1] * p[1] + row[2] * p[2] + 0.0);

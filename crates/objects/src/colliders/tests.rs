@@ -2,6 +2,8 @@
 
 use super::*;
 use crate::made::{catalogue, input, object};
+use scenesplat_scene::GaussianScene;
+use std::collections::BTreeSet;
 
 /// Gaussians at these places, of this size along the first two axes, thin along the third.
 fn scene(coord: &[[f32; 3]], size: f32, opacity_logit: f32) -> GaussianScene {
@@ -16,11 +18,15 @@ fn scene(coord: &[[f32; 3]], size: f32, opacity_logit: f32) -> GaussianScene {
     }
 }
 
-fn hulls(scene: &GaussianScene, cell: f64) -> Vec<Collider> {
+fn made(scene: &GaussianScene, cell: f64) -> Result<Colliders> {
     let (labels, names) = (vec![0; scene.len()], ["thing".to_owned()]);
     let found = catalogue(vec![object(0, 0..scene.len() as u32)], scene.len());
     let settings = ColliderSettings { cell, ..ColliderSettings::default() };
-    colliders(&input(scene, &labels, &names), &found, &settings).unwrap()
+    colliders(&input(scene, &labels, &names), &found, &settings)
+}
+
+fn hulls(scene: &GaussianScene, cell: f64) -> Vec<Collider> {
+    made(scene, cell).unwrap().hulls
 }
 
 /// The volume inside, by the divergence theorem, and the area.
@@ -38,12 +44,13 @@ fn volume_and_area(positions: &[[f32; 3]], triangles: &[[u32; 3]]) -> (f64, f64)
 fn a_gaussian_is_a_cube_and_a_floor_a_slab_of_twelve_triangles() {
     let cube = &hulls(&scene(&[[0.12, 0.02, -0.02]], 0.001, 5.0), 0.1)[0];
     assert_eq!((cube.positions.len(), cube.triangles.len()), (8, 12));
-    for (axis, [low, high]) in [[0.1f32, 0.2], [0.0, 0.1], [-0.1, 0.0]].into_iter().enumerate() {
+    for (axis, [low, high]) in [[0.1f32, 0.2], [0.0, 0.1], [-0.05, 0.05]].into_iter().enumerate() {
         assert!(cube.positions.iter().all(|p| [low, high].contains(&p[axis])), "{cube:?}");
     }
-    let floor: Vec<_> = (0..200)
-        .map(|i| [0.1 * (i % 20) as f32 + 0.05, 0.1 * (i / 20) as f32 + 0.05, 0.05])
-        .collect();
+    // A floor at 0 with two millimeters of noise is one layer.
+    let noise = |i: i32| 0.002 * ((i * 7 % 5) as f32 - 2.0);
+    let place = |i: i32| [0.1 * (i % 20) as f32 + 0.05, 0.1 * (i / 20) as f32 + 0.05, noise(i)];
+    let floor: Vec<_> = (0..200).map(place).collect();
     let slab = &hulls(&scene(&floor, 0.001, 5.0), 0.1)[0];
     assert_eq!((slab.positions.len(), slab.triangles.len()), (8, 12));
     let (volume, area) = volume_and_area(&slab.positions, &slab.triangles);
@@ -64,6 +71,7 @@ fn surfaces_hold_the_volume_of_their_cubes_and_have_no_other_face() {
                 cells.extend((0..5).filter(|_| random(10) < share).map(|z| [x, y, z]));
             }
         }
+        let cells: Vec<Cell> = cells.into_iter().collect();
         let exposed = (cells.iter())
             .flat_map(|&[x, y, z]| {
                 [
@@ -86,24 +94,37 @@ fn surfaces_hold_the_volume_of_their_cubes_and_have_no_other_face() {
     }
 }
 
-#[test]
-fn a_disc_touches_the_cubes_that_it_covers() {
-    let cell = 0.1;
-    let disc = &hulls(&scene(&[[0.05, 0.05, 0.05]], 0.42, 5.0), cell)[0];
-    // Every place of the disc, looked at a hundredth of a cube apart.
+/// Cubes of edge 0.1 that an ellipsoid of these half-axes about the middle of one meets, looked at every twentieth of a cube.
+fn met(half: [f64; 3]) -> usize {
     let mut due = BTreeSet::new();
-    for i in -4200..=4200i32 {
-        for j in -4200..=4200i32 {
-            if i % 10 == 0 && j % 10 == 0 && i * i + j * j <= 4200 * 4200 {
-                let at = |k: i32| ((0.05 + f64::from(k) / 10_000.0) / cell).floor() as i64;
-                due.insert([at(i), at(j), 0]);
+    let steps = half.map(|h| (h * 200.0) as i32);
+    for i in -steps[0]..=steps[0] {
+        for j in -steps[1]..=steps[1] {
+            for k in -steps[2]..=steps[2] {
+                let at = [i, j, k].map(|v| f64::from(v) / 200.0);
+                let inside =
+                    (0..3).map(|a| if half[a] > 0.0 { (at[a] / half[a]).powi(2) } else { 0.0 });
+                if inside.sum::<f64>() <= 1.0 {
+                    due.insert(at.map(|v| ((v + 0.05) / 0.1).floor() as i32));
+                }
             }
         }
     }
-    let (volume, _) = volume_and_area(&disc.positions, &disc.triangles);
-    let count = (volume / cell.powi(3)).round() as usize;
-    // At the rim a cube that is met by a corner alone may be missed.
-    assert!(count <= due.len() && count + 8 >= due.len(), "{count} of {}", due.len());
+    due.len()
+}
+
+#[test]
+fn discs_and_balls_touch_the_cubes_that_they_meet() {
+    let disc = scene(&[[0.05, 0.05, 0.0]], 0.42, 5.0);
+    let mut ball = scene(&[[0.05, 0.05, 0.0]], 0.21, 5.0);
+    ball.log_scale = vec![[0.21f32.ln(); 3]];
+    for (scene, half) in [(disc, [0.42, 0.42, 0.0]), (ball, [0.21; 3])] {
+        let hull = &hulls(&scene, 0.1)[0];
+        let (volume, _) = volume_and_area(&hull.positions, &hull.triangles);
+        let (count, due) = ((volume / 1e-3).round() as usize, met(half));
+        // A cube of which a corner alone is met may be missed.
+        assert!(count <= due && 10 * count >= 8 * due, "{count} of {due}");
+    }
 }
 
 #[test]
@@ -121,10 +142,10 @@ fn hulls_lie_where_the_scene_does_in_any_frame_and_unit() {
         ..input(&scene, &labels, &names)
     };
     let settings = ColliderSettings { cell: 0.2, ..ColliderSettings::default() };
-    let hull = &colliders(&input, &found, &settings).unwrap()[0];
+    let hull = &colliders(&input, &found, &settings).unwrap().hulls[0];
     let (volume, _) = volume_and_area(&hull.positions, &hull.triangles);
     assert!((volume - 0.1).abs() < 1e-6, "{volume}");
-    let height = |p: &[f32; 3]| p[1].abs() < 1e-6 || (p[1] - 0.1).abs() < 1e-6;
+    let height = |p: &[f32; 3]| (p[1].abs() - 0.05).abs() < 1e-6;
     assert!(hull.positions.iter().all(height), "{:?}", hull.positions);
     for (k, [low, high]) in [(0, [0.0, 1.0]), (2, [0.0, 1.0])] {
         let all = hull.positions.iter().map(|p| f64::from(p[k]));
@@ -137,18 +158,21 @@ fn hulls_lie_where_the_scene_does_in_any_frame_and_unit() {
 fn haze_and_what_is_nowhere_near_are_no_trouble() {
     assert!(hulls(&scene(&[[0.0; 3]], 0.01, -3.0), 0.05).is_empty());
     assert!(hulls(&scene(&[], 0.01, 5.0), 0.05).is_empty());
-    // Wider than anything, and far away.
-    for (coord, size) in [([0.0; 3], 1e30), ([1e9, -1e9, 3.0], 0.01)] {
-        let hull = &hulls(&scene(&[coord], size, 5.0), 0.05)[0];
-        assert!(
-            hull.triangles.len() >= 12 && hull.positions.iter().flatten().all(|v| v.is_finite())
-        );
-        assert!(
-            hull.positions
-                .iter()
-                .all(|p| (p[0] - coord[0]).abs() < 3.0 + 1e3 * f32::from(size < 1.0))
-        );
-    }
+    // Wider than anything: as wide as anything can be.
+    let wide = made(&scene(&[[0.0; 3]], 1e30, 5.0), 0.05).unwrap();
+    assert_eq!((wide.cut, wide.far, wide.faint), (1, 0, 0));
+    let reach = |p: &[f32; 3]| p[0].hypot(p[1]) < 2.1;
+    assert!(wide.hulls[0].positions.iter().all(reach) && wide.hulls[0].triangles.len() > 100);
+    // Far away no cube can be told from the next.
+    let far = made(&scene(&[[1e9, -1e9, 3.0], [1.0; 3]], 0.01, 5.0), 0.05).unwrap();
+    assert_eq!((far.far, far.hulls.len()), (1, 1));
+    let (volume, _) = volume_and_area(&far.hulls[0].positions, &far.hulls[0].triangles);
+    assert!((volume - 0.05f64.powi(3)).abs() < 1e-6, "{volume}");
+    let faint = made(&scene(&[[0.0; 3]], 0.01, -3.0), 0.05).unwrap();
+    assert_eq!(faint.faint, 1);
+    // More than memory holds.
+    let error = made(&scene(&[[0.0; 3]; 1000], 3.0, 5.0), 0.005).unwrap_err().to_string();
+    assert!(error.contains("give larger cubes"), "{error}");
     let scene = scene(&[[0.0; 3]; 3], 0.01, 5.0);
     let (labels, names) = (vec![0; 3], ["thing".to_owned()]);
     let made = |found: &Catalogue, cell| {
@@ -176,8 +200,8 @@ fn the_file_holds_the_hulls_in_the_frame_of_its_format() {
     assert_eq!((word(20 + word(12)), binary.len() % 4), (binary.len(), 0));
     assert_eq!(json["nodes"][0]["name"], "003-0");
     assert_eq!(json["nodes"][0]["extras"], serde_json::json!({ "id": 3, "class": "0" }));
-    // +x is left, +y up, +z forward: of +x right, +y forward, +z up.
-    let to_file = |[x, y, z]: [f64; 3]| [-x, z, y];
+    // +x is left and +y up, where scenes in memory have right and down.
+    let to_file = |[x, y, z]: [f64; 3]| [-x, -y, z];
     let translation: Vec<f64> =
         serde_json::from_value(json["nodes"][0]["translation"].clone()).unwrap();
     assert_eq!(translation, to_file(origin));
