@@ -89,8 +89,13 @@ pub fn colliders(
     let rows: Vec<Vec<u32>> = (found.objects.par_iter())
         .map(|object| object.rows.iter().copied().filter(is_opaque).collect())
         .collect();
-    let all = || rows.iter().flatten().map(|&row| grid.blob(row as usize));
-    let places = all().map(|blob| blob.places()).fold(0u64, u64::saturating_add);
+    let (mut places, mut far, mut cut) = (0u64, 0, 0);
+    for &row in rows.iter().flatten() {
+        let blob = grid.blob(row as usize);
+        places = places.saturating_add(blob.places());
+        far += usize::from(blob.is_far);
+        cut += usize::from(blob.is_cut);
+    }
     if places > MOST_PLACES {
         return Err(ObjectError::SmallCubes { cell, places, most: MOST_PLACES });
     }
@@ -100,8 +105,8 @@ pub fn colliders(
     Ok(Colliders {
         hulls: hulls.collect(),
         faint: objects - rows.iter().map(Vec::len).sum::<usize>(),
-        far: all().filter(|blob| blob.is_far).count(),
-        cut: all().filter(|blob| blob.is_cut).count(),
+        far,
+        cut,
     })
 }
 

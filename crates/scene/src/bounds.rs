@@ -76,7 +76,7 @@ pub fn raw_bounds(coord: &[[f32; 3]]) -> Bounds {
 pub(crate) const EMPTY_BOX: ([f32; 3], [f32; 3]) = ([f32::INFINITY; 3], [f32::NEG_INFINITY; 3]);
 
 /// Lowest and highest corner of the box around some points.
-pub(crate) fn bounding_box(coord: impl Iterator<Item = [f32; 3]>) -> ([f32; 3], [f32; 3]) {
+pub fn bounding_box(coord: impl Iterator<Item = [f32; 3]>) -> ([f32; 3], [f32; 3]) {
     coord.fold(EMPTY_BOX, |bounds, p| joined_box(bounds, (p, p)))
 }
 

@@ -2,6 +2,7 @@
 
 use super::Collider;
 use scenesplat_scene::Frame;
+use scenesplat_scene::bounds::bounding_box;
 use scenesplat_scene::formats::gltf::glb_head;
 use serde_json::{Value, json};
 
@@ -30,7 +31,7 @@ pub fn colliders_glb(colliders: &[Collider], origin: [f64; 3]) -> Option<Vec<u8>
     for (number, hull) in colliders.iter().enumerate() {
         let turned = |p: &[f32; 3]| moved(p.map(f64::from)).map(|v| v as f32);
         let positions: Vec<[f32; 3]> = hull.positions.iter().map(turned).collect();
-        let (low, high) = ends(&positions);
+        let (low, high) = bounding_box(positions.iter().copied());
         let start = binary.len();
         binary.extend(positions.iter().flatten().flat_map(|v| v.to_le_bytes()));
         views.push(view(start, binary.len(), CORNERS));
@@ -74,12 +75,4 @@ pub fn colliders_glb(colliders: &[Collider], origin: [f64; 3]) -> Option<Vec<u8>
 
 fn view(start: usize, end: usize, target: u32) -> Value {
     json!({ "buffer": 0, "byteOffset": start, "byteLength": end - start, "target": target })
-}
-
-/// The least and the largest of each coordinate.
-fn ends(positions: &[[f32; 3]]) -> ([f32; 3], [f32; 3]) {
-    let fold = |first: f32, pick: fn(f32, f32) -> f32| {
-        positions.iter().fold([first; 3], |ends, p| [0, 1, 2].map(|k| pick(ends[k], p[k])))
-    };
-    (fold(f32::INFINITY, f32::min), fold(f32::NEG_INFINITY, f32::max))
 }
