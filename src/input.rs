@@ -261,6 +261,22 @@ mod tests {
     use scenesplat_scene::formats::npy_writer::write_npy;
 
     #[test]
+    fn of_bytes_only_as_many_points_become_discs_as_are_allowed() {
+        let mut text =
+            "ply\nformat ascii 1.0\nelement vertex 30\nproperty float x\nproperty float y\n\
+                        property float z\nproperty int label\nend_header\n"
+                .to_owned();
+        (0..30).for_each(|i| text += &format!("{} {} 0 1\n", i % 6, i / 6));
+        let open = |most| {
+            let (bytes, options) = (text.clone().into_bytes(), ReadOptions::default());
+            open_input_owned(bytes, Path::new("points.ply"), &options, most)
+        };
+        assert!(matches!(open(29), Err(InputError::TooMany { count: 30, most: 29 })));
+        let (opened, said) = open(30).unwrap();
+        assert!(opened.converted && said.unwrap().contains("30 points became discs"));
+    }
+
+    #[test]
     fn clusters_follow_the_rows_of_the_file() {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("segment_index.npy");
