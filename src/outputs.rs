@@ -6,14 +6,14 @@ use crate::preview::{
     write_preview,
 };
 use half::f16;
-use scenesplat_scene::formats::inria_ply::write_inria_ply;
+use scenesplat_scene::formats::inria_ply::write_inria_ply_with;
 use scenesplat_scene::formats::npy_writer::NpyRowWriter;
 use scenesplat_scene::formats::ply::{
     ColumnValues, PlyColumn, PlyFile, free_column_name, write_ply_with_columns,
 };
 use scenesplat_scene::gaussian_scene::u8_to_dc;
 use scenesplat_scene::{
-    AtomicFile, GaussianScene, LoadedScene, SceneError, SceneFormat, WriteError,
+    AtomicFile, GaussianScene, LoadedScene, SceneError, SceneFormat, WriteError, WriteOptions,
 };
 use std::path::{Path, PathBuf};
 
@@ -201,6 +201,8 @@ pub struct ResultColumns<'a> {
     pub label: Option<&'a [i32]>,
     /// Score of the class or of the query.
     pub score: Option<&'a [f32]>,
+    /// What a reader must know of them: comments of the file.
+    pub warnings: &'a [String],
 }
 
 /// Writes the scene with new colors and result columns.
@@ -258,7 +260,8 @@ fn write_as_splats(
     extra.extend(source_row.as_ref().map(|rows| i32_column("source_row", rows)));
     extra.extend(columns.label.map(|label| i32_column("label", label)));
     extra.extend(columns.score.map(|score| f32_column("score", score)));
-    Ok(write_inria_ply(&scene, &extra, path)?)
+    let options = WriteOptions { warnings: columns.warnings.to_vec(), ..WriteOptions::default() };
+    Ok(write_inria_ply_with(&scene, &extra, &options, path)?)
 }
 
 /// The source's elements and properties with new colors.
@@ -315,7 +318,7 @@ fn write_recolored(
         // A scene colored by bytes, or not at all: the new colors are columns of their own.
         append.splice(0..0, recolored.drain(..));
     }
-    Ok(write_ply_with_columns(&source, &recolored, &append, path)?)
+    Ok(write_ply_with_columns(&source, &recolored, &append, columns.warnings, path)?)
 }
 
 /// Colors of labels; gray where there is none.

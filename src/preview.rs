@@ -72,6 +72,8 @@ pub enum PreviewError {
 pub struct PreviewSettings {
     /// First line of the picture.
     pub title: String,
+    /// What a viewer must know, a line each below the title; of many the first and how many more.
+    pub warnings: Vec<String>,
     /// Which way is up.
     pub up: Up,
     /// Width and height of each view, pixels.
@@ -82,7 +84,13 @@ pub struct PreviewSettings {
 
 impl Default for PreviewSettings {
     fn default() -> Self {
-        Self { title: String::new(), up: Up::PLUS_Z, view_size: 720, open_rooms: true }
+        Self {
+            title: String::new(),
+            warnings: Vec::new(),
+            up: Up::PLUS_Z,
+            view_size: 720,
+            open_rooms: true,
+        }
     }
 }
 
@@ -92,6 +100,10 @@ pub(crate) const FAINT_INK: [u8; 3] = [150, 152, 158];
 
 const MARGIN: u32 = 12;
 const TITLE_HEIGHT: u32 = 40;
+const WARNING_HEIGHT: u32 = 18;
+const WARNING_INK: [u8; 3] = [240, 170, 80];
+/// Warnings that have a line each.
+const MOST_WARNINGS: usize = 3;
 
 /// Draws the picture.
 ///
@@ -118,7 +130,9 @@ pub fn render_preview(
 
     let legend_width = if legend.is_empty() { 0 } else { LEGEND_WIDTH };
     let width = 2 * view + 3 * MARGIN + legend_width;
-    let height = TITLE_HEIGHT + view + MARGIN;
+    let warnings = warning_lines(&settings.warnings);
+    let top = TITLE_HEIGHT + WARNING_HEIGHT * warnings.len() as u32;
+    let height = top + view + MARGIN;
     let mut picture = RgbPicture::filled(width, height, BACKGROUND);
     let right = 2 * MARGIN + view;
 
@@ -131,19 +145,29 @@ pub fn render_preview(
         if !matches!(rendered, Some(Ok(()))) {
             canvas.draw(&shown, &lens);
         }
-        canvas.copy_to(&mut picture, left, TITLE_HEIGHT);
+        canvas.copy_to(&mut picture, left, top);
     }
 
     text::draw(&mut picture, MARGIN, 13, 2, INK, &settings.title, width - 2 * MARGIN);
-    let caption = TITLE_HEIGHT + 8;
+    for (line, at) in warnings.iter().zip((TITLE_HEIGHT..).step_by(WARNING_HEIGHT as usize)) {
+        text::draw(&mut picture, MARGIN, at, 1, WARNING_INK, line, width - 2 * MARGIN);
+    }
+    let caption = top + 8;
     let note = if framing.is_cut_open() { "perspective, cut open" } else { "perspective" };
     text::draw(&mut picture, MARGIN + 8, caption, 1, FAINT_INK, note, view);
     text::draw(&mut picture, right + 8, caption, 1, FAINT_INK, "from above", view);
-    draw_scale_bar(&mut picture, &framing.top(), [right, TITLE_HEIGHT], view);
+    draw_scale_bar(&mut picture, &framing.top(), [right, top], view);
     if !legend.is_empty() {
-        draw_legend(&mut picture, right + view + MARGIN, TITLE_HEIGHT, legend);
+        draw_legend(&mut picture, right + view + MARGIN, top, legend);
     }
     Ok(picture)
+}
+
+fn warning_lines(warnings: &[String]) -> Vec<String> {
+    let cut = warnings.len() > MOST_WARNINGS;
+    let shown = if cut { MOST_WARNINGS - 1 } else { warnings.len() };
+    let more = cut.then(|| format!("and {} more warnings", warnings.len() - shown));
+    warnings[..shown].iter().map(|text| format!("! {text}")).chain(more).collect()
 }
 
 fn check(rows: &PreviewRows<'_>, settings: &PreviewSettings) -> Result<(), PreviewError> {
@@ -385,6 +409,28 @@ mod tests {
     }
 
     #[test]
+    fn warnings_are_lines_above_the_views() {
+        let rows = PreviewRows { coord: &[], color: &[], radius: &[], opacity: &[], shapes: None };
+        let draw = |count: usize| {
+            let warnings = (0..count).map(|i| format!("warning {i} ").repeat(40)).collect();
+            render_preview(&rows, &[], &PreviewSettings { warnings, ..small() }).unwrap()
+        };
+        let plain = draw(0);
+        for (count, lines) in [(1, 1), (3, 3), (4, 3), (90, 3)] {
+            let picture = draw(count);
+            assert_eq!(picture.height(), plain.height() + lines * WARNING_HEIGHT, "{count}");
+            let orange = |y: u32| {
+                let is = |[r, g, b]: [u8; 3]| r > 120 && r > g && g > b;
+                (0..picture.width()).any(|x| is(picture.get(x, y).unwrap()))
+            };
+            let inked = |line: u32| {
+                (0..WARNING_HEIGHT).any(|y| orange(TITLE_HEIGHT + line * WARNING_HEIGHT + y))
+            };
+            assert!((0..lines).all(inked) && !inked(lines), "{count}");
+        }
+    }
+
+    #[test]
     fn long_legends_and_titles_fit() {
         let legend: Vec<LegendEntry> = (0..200)
             .map(|i| LegendEntry {
@@ -395,7 +441,9 @@ mod tests {
             .collect();
         let rows = PreviewRows { coord: &[], color: &[], radius: &[], opacity: &[], shapes: None };
         for view_size in [64, 200] {
-            let settings = PreviewSettings { title: "title ".repeat(500), view_size, ..small() };
+            let title = "title ".repeat(500);
+            let warnings = vec![title.clone()];
+            let settings = PreviewSettings { title, warnings, view_size, ..small() };
             for classes in [1, 24, 25, 200] {
                 render_preview(&rows, &legend[..classes], &settings).unwrap();
             }

@@ -82,7 +82,7 @@ impl Session<'_> {
             }
         };
         let about = Compensation::of(&mut section, scene);
-        self.progress.say(section.to_string());
+        self.progress.detail(section.to_string());
         self.receipt.plan(scene.len(), section);
         Ok(about)
     }

@@ -50,8 +50,9 @@ pub struct PreviewArgs {
 
 impl PreviewArgs {
     /// A picture with that first line, that way up.
-    pub fn settings(self, title: String, up: Up) -> PreviewSettings {
-        PreviewSettings { title, up, view_size: self.preview_size, ..PreviewSettings::default() }
+    pub fn settings(self, title: String, warnings: Vec<String>, up: Up) -> PreviewSettings {
+        let view_size = self.preview_size;
+        PreviewSettings { title, warnings, up, view_size, ..PreviewSettings::default() }
     }
 }
 

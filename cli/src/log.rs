@@ -51,6 +51,21 @@ thread_local! {
     static FORMAT: Cell<LogFormat> = const { Cell::new(LogFormat::Text) };
 }
 
+thread_local! {
+    /// Whether the command of this thread prints what it does step by step.
+    static VERBOSE: Cell<bool> = const { Cell::new(false) };
+}
+
+/// Begins a command that prints what it does step by step, or not.
+pub fn set_verbose(verbose: bool) {
+    VERBOSE.set(verbose);
+}
+
+/// Whether the command prints what it does step by step.
+pub fn is_verbose() -> bool {
+    VERBOSE.get()
+}
+
 /// Begins a command whose messages have this form.
 pub fn set_format(format: LogFormat) {
     FORMAT.set(format);

@@ -48,6 +48,8 @@ pub struct Progress {
     terminal: bool,
     bar: RefCell<Option<ProgressBar>>,
     last_line: RefCell<(Instant, String)>,
+    /// Whether each step has a line when it begins, not only when it takes long.
+    each_step: bool,
 }
 
 /// Time between two plain lines of the same step.
@@ -74,6 +76,7 @@ impl Progress {
             terminal: is_terminal() && !log::is_json(),
             bar: RefCell::default(),
             last_line: RefCell::new((Instant::now(), String::new())),
+            each_step: log::is_verbose() || log::is_json(),
         }
     }
 
@@ -86,6 +89,13 @@ impl Progress {
             return;
         }
         self.put(Level::Info, text.as_ref());
+    }
+
+    /// Says one line of what is done step by step, if that was asked for.
+    pub fn detail(&self, text: impl AsRef<str>) {
+        if log::is_verbose() || log::is_json() || caller().is_some() {
+            self.say(text);
+        }
     }
 
     /// Writes a message above the bar, if there is one.
@@ -130,7 +140,7 @@ impl Progress {
             return;
         }
         let mut last = self.last_line.borrow_mut();
-        if last.1 != step || last.0.elapsed() >= LINE_EVERY {
+        if self.each_step && last.1 != step || last.0.elapsed() >= LINE_EVERY {
             *last = (Instant::now(), step.to_owned());
             let text = format!("{step}: {:.0} %", done * 100.0);
             let stage = Stage { name: step, done, total: 1.0 };
@@ -143,6 +153,8 @@ impl Progress {
         if let Some(bar) = self.bar.borrow_mut().take() {
             bar.finish_and_clear();
         }
-        self.last_line.borrow_mut().1.clear();
+        if self.each_step {
+            self.last_line.borrow_mut().1.clear();
+        }
     }
 }

@@ -11,7 +11,7 @@ mod report;
 pub use error::ReceiptError;
 pub use fingerprint::sha256_of;
 pub use report::{
-    BudgetReport, FileFingerprint, ReceiptReport, SettingUsed, StageTime, WrittenFile,
+    BudgetReport, FileFingerprint, ReceiptReport, SettingUsed, StageTime, WrittenFile, thousands,
 };
 
 use crate::defaults::{self, Taken};
@@ -130,6 +130,12 @@ impl Receipt {
             Some(known) => *known = used,
             None => settings.push(used),
         }
+    }
+
+    /// The value of a setting that was noted.
+    pub fn setting_of(&self, name: &str) -> Option<String> {
+        let report = self.report.borrow();
+        report.settings.iter().find(|s| s.name == name).map(|s| s.value.clone())
     }
 
     /// Notes a warning or a repair.

@@ -32,6 +32,12 @@ pub struct SurfaceArgs {
     pub refine: RefineChoice,
 }
 
+impl Default for SurfaceArgs {
+    fn default() -> Self {
+        Self { surfaces: SurfaceChoice::Auto, min_probability: None, refine: RefineChoice::Off }
+    }
+}
+
 /// What corrects labels.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, clap::ValueEnum)]
 pub enum RefineChoice {

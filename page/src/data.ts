@@ -32,6 +32,8 @@ export interface About {
   codes: { width: number; slots: number } | null;
   hasScores: boolean;
   phrases: number;
+  /** What makes labels doubtful. */
+  warnings: string[];
   remarks: string[];
   /** Bytes of each chunk of each block, where they are served; else null. */
   chunks: Record<string, number[]> | null;

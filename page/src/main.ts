@@ -413,6 +413,9 @@ function counts(about: About): void {
   byId("title").textContent = short(about.title);
   const all = about.count < about.total ? ` of ${thousands(about.total)}` : "";
   byId("count").textContent = `${thousands(about.count)}${all} Gaussians`;
+  const warnings = byId("warnings");
+  warnings.replaceChildren(...about.warnings.map((text) => element("li", { text: short(text, 400) })));
+  warnings.hidden = about.warnings.length === 0;
   byId("remarks").replaceChildren(...about.remarks.map((r) => element("li", { text: short(r, 300) })));
 }
 

@@ -56,7 +56,7 @@ function scene({ Codes }) {
       foreign: { articles: ["der", "une", "dans"], names: [["stuhl", 0], ["sessel", 0], ["bureau", 1], ["abat jour", 2]] },
       denials: ["not", "no", "except", "other than"], places: [["on", "on"], ["on top of", "on"], ["under", "under"], ["left of", null]],
       groups: [{ name: "furniture", members: [0, 1] }], codes: { width: 3, slots: 5 }, hasScores: true, phrases: 2,
-      metresPerUnit: 1, title: "t", remarks: [], chunks: null,
+      metresPerUnit: 1, title: "t", warnings: [], remarks: [], chunks: null,
     },
     codes: new Codes(Int8Array.from(rows.flat()), 5, 3, texts, 3),
     label: Uint16Array.from([1, 1, 2, 2, 3, 0]),

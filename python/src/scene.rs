@@ -136,6 +136,7 @@ impl Scene {
             overwrite,
             stated_up: (loaded.stated_up != loaded.kind.stated_up())
                 .then_some(loaded.stated_up.direction),
+            ..WriteOptions::default()
         };
         let (opened, to) = (Arc::clone(&self.opened), path.clone());
         let written = run(py, progress, move |caller| {

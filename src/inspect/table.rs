@@ -7,6 +7,8 @@ use std::fmt;
 
 /// Widest line of the messages.
 const LINE: usize = 96;
+/// Findings of the summary; of more it says how many.
+const MOST_FINDINGS: usize = 3;
 
 impl Inspection {
     /// The figures, one line each: what it is and its value.
@@ -51,6 +53,51 @@ impl Inspection {
             ("cost", self.estimate.as_ref().map(cost)),
         ];
         rows.into_iter().filter_map(|(what, value)| Some((what, value?))).collect()
+    }
+
+    /// What is most worth knowing, in at most ten lines: what it is, how it lies, what it shows, its cost, the worst
+    /// findings.
+    pub fn summary(&self) -> String {
+        let figures = self.figures();
+        let of =
+            |name: &str| figures.iter().find(|(what, _)| *what == name).map(|(_, v)| v.as_str());
+        let mut lines = vec![format!(
+            "{}: {} Gaussians, {}",
+            self.path,
+            of("Gaussians").unwrap_or_default(),
+            of("extent").unwrap_or_default()
+        )];
+        lines.push(format!(
+            "  up {}; unit {}",
+            of("up").unwrap_or_default(),
+            of("unit").unwrap_or("unknown")
+        ));
+        let has = format!("  harmonics {}", of("harmonics").unwrap_or_default());
+        lines.push(of("also").map_or(has.clone(), |also| format!("{has}; {also}")));
+        let seen = self.effects.present();
+        let seen = seen.map(|e| format!("{} {:.1} of 5", e.effect.name(), e.severity));
+        let seen: Vec<String> = seen.collect();
+        lines.push(format!(
+            "  effects of the capture: {}",
+            if seen.is_empty() { "none above its threshold".to_owned() } else { seen.join(", ") }
+        ));
+        lines.extend(of("cost").map(|cost| format!("  {cost}")));
+        lines.push(match self.findings.len() {
+            0 => "no findings".to_owned(),
+            count => plural(count, "finding"),
+        });
+        let shown = self.findings.iter().take(MOST_FINDINGS);
+        lines.extend(shown.map(|finding| {
+            let head = format!("  {}", finding.head());
+            match head.char_indices().nth(LINE) {
+                Some((end, _)) => format!("{}…", &head[..end]),
+                None => head,
+            }
+        }));
+        if self.findings.len() > MOST_FINDINGS {
+            lines.push(format!("  and {} more", self.findings.len() - MOST_FINDINGS));
+        }
+        lines.join("\n")
     }
 
     /// What the scene has besides Gaussians.

@@ -60,7 +60,9 @@ pub struct PageInput<'a> {
     pub upright: Matrix3,
     /// What one unit of the scene is, meters.
     pub metres_per_unit: f64,
-    /// What a reader has to know, such as that weights were seeded.
+    /// What makes labels doubtful, such as that weights were seeded: shown at the top.
+    pub warnings: &'a [String],
+    /// What else a reader may want to know.
     pub remarks: &'a [String],
 }
 

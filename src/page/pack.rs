@@ -148,6 +148,7 @@ fn about(
         "codes": codes.map(|c| json!({ "width": c.width, "slots": c.count })),
         "hasScores": input.scores.is_some(),
         "phrases": words.phrases.lines().count(),
+        "warnings": input.warnings,
         "remarks": remarks,
         "chunks": Value::Null,
     })
@@ -212,6 +213,7 @@ mod tests {
             vocabulary: None,
             upright: Up::PLUS_Z.upright(),
             metres_per_unit: 1.0,
+            warnings: &[],
             remarks: &[],
         }
     }

@@ -78,6 +78,7 @@ fn plain<'a>(room: &'a SyntheticRoom, title: &'a str) -> PageInput<'a> {
         vocabulary: None,
         upright: Up::PLUS_Z.upright(),
         metres_per_unit: 1.0,
+        warnings: &[],
         remarks: &[],
     }
 }

@@ -163,7 +163,7 @@ pub fn query(call: Call<'_>, phrase: &str, scene: OpenedScene) -> Result<Selecti
         let shared = nowhere();
         let session = start(&shared, &args.inference, vec![scene], call.network)?;
         let wish = args.effects.wish(&session, args.features.is_none(), true)?;
-        let asked = asking::query(&args, &session)?;
+        let asked = asking::meant(&args, &session)?;
         args.classes.record(&session)?;
         let found = asking::find(&args, &session, &asked, &wish, vote_k)?;
         session.check_stop()?;

@@ -1,5 +1,6 @@
 //! `scenesplat demo`
 
+use super::answer::next;
 use super::segment;
 use crate::outputs::withdraw;
 use crate::progress::interrupted;
@@ -65,7 +66,7 @@ pub fn run(args: &Args, line: &str) -> Result<()> {
     if args.quiet {
         words.push("--quiet".into());
     }
-    segment::run(&Line::try_parse_from(&words)?.args, line).map_err(|error| {
+    segment::label(&Line::try_parse_from(&words)?.args, line).map_err(|error| {
         if interrupted() { anyhow!("stopped; only {} was written", path.display()) } else { error }
     })?;
 
@@ -94,8 +95,8 @@ pub fn run(args: &Args, line: &str) -> Result<()> {
         percent(report.all_accuracy),
         percent(report.foreground_mean_iou)
     ));
-    print(&format!("look at {out}/preview.png beside {out}/truth.png; then try"));
-    print(&format!("  scenesplat query {out}/room.ply \"chair\" --out {out}/chair"));
+    print(&format!("look at {out}/preview.png beside {out}/truth.png"));
+    print(&next(&path, &["query SCENE \"chair\"", "objects SCENE", "view SCENE"]));
     Ok(())
 }
 

@@ -1,10 +1,12 @@
 //! `scenesplat features`
 
+use super::answer::certainty;
 use super::many::OneOrMany;
 use crate::budget::{BudgetArgs, Job, within_budget};
 use crate::effects::{EffectArgs, Wish};
 use crate::error::refuse;
 use crate::flags::{Inference, PreviewArgs, Shared};
+use crate::receipt::thousands;
 use crate::session::Session;
 use anyhow::Result;
 use scenesplat::SceneFeatures;
@@ -141,12 +143,16 @@ pub fn run(args: &Args, line: &str) -> Result<()> {
     let stage = session.receipt.stage("picture");
     let colors = principal_colors(&features)?;
     session.write("features.ply", |path| {
-        write_colored_ply(&opened, &colors, &ResultColumns::default(), path)
+        let columns = ResultColumns { warnings: &session.doubts(), ..ResultColumns::default() };
+        write_colored_ply(&opened, &colors, &columns, path)
     })?;
     let name = args.input.name();
     let title = format!("{name}: features (principal components as colors)");
     let up = session.up(&opened, &inference);
     session.write_preview(scene, &colors, &[], title, up, args.preview)?;
     drop(stage);
+    let (rows, width) = (thousands(opened.loaded.source_rows() as u64), features.width());
+    session.tell(format!("{name}: {rows} rows of {width} values in {features_file}"));
+    certainty(&session).iter().for_each(|text| session.tell(text));
     session.finish()
 }

@@ -2,6 +2,7 @@
 
 use crate::error::WrongUse;
 use crate::flags::{NetworkArgs, Shared, SourceArgs, parse_setting, parse_up};
+use crate::log;
 use crate::session::Session;
 use crate::terminal::print;
 use anyhow::{Context, Result, bail};
@@ -86,7 +87,7 @@ pub fn run(args: &Args, line: &str) -> Result<()> {
     session.check_stop()?;
     let seen = look(args, &session, (&chosen, name, config), &opened)?;
     let inspection = &seen.inspection;
-    print(&inspection.to_string());
+    print(&if log::is_verbose() { inspection.to_string() } else { inspection.summary() });
     session.check_stop()?;
     if let Some(path) = &args.json {
         session.write_file(path, &serde_json::to_string_pretty(&seen.json()?)?)?;
@@ -102,7 +103,7 @@ pub fn run(args: &Args, line: &str) -> Result<()> {
     }
     session.finish_quietly()?;
     if let Some(path) = &sheet {
-        print(&format!("sheet {}", path.display()));
+        print(&format!("sheet {}; --verbose says more", path.display()));
     }
     if args.fail_on_findings && !inspection.findings.is_empty() {
         let names: Vec<&str> = inspection.findings.iter().map(|f| f.name.as_str()).collect();

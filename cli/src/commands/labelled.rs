@@ -93,6 +93,31 @@ pub enum Strange {
     Unknown,
 }
 
+/// What gave the labels of a scene.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum LabelOrigin {
+    /// The scene carries them.
+    Scene,
+    /// The network inside the program.
+    Embedded,
+    /// Another network.
+    Network,
+    /// Features of a file.
+    Features,
+}
+
+impl LabelOrigin {
+    /// As files say it.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Scene => "scene",
+            Self::Embedded => "embedded network",
+            Self::Network => "network",
+            Self::Features => "features",
+        }
+    }
+}
+
 /// A scene with labels.
 pub struct Labelled {
     /// The scene.
@@ -107,8 +132,8 @@ pub struct Labelled {
     pub features: Option<(SceneFeatures, TextTable)>,
     /// Whether the classes are those of the network inside the program.
     pub is_vocabulary: bool,
-    /// Whether that network labeled it.
-    pub is_own: bool,
+    /// What gave the labels.
+    pub origin: LabelOrigin,
     /// Effects of the capture that the scene shows; none are looked for without a network.
     pub effects: Vec<FoundEffect>,
     /// What to add to a title where the result means nothing.
@@ -184,7 +209,7 @@ impl LabelArgs {
             names,
             features: None,
             is_vocabulary: false,
-            is_own: false,
+            origin: LabelOrigin::Scene,
             effects: Vec::new(),
             remark: "",
         })
@@ -265,7 +290,11 @@ impl Labelling {
             names: names.names,
             features: text.map(|text| (features, text)),
             is_vocabulary,
-            is_own,
+            origin: match (is_own, is_network) {
+                (true, _) => LabelOrigin::Embedded,
+                (false, true) => LabelOrigin::Network,
+                (false, false) => LabelOrigin::Features,
+            },
             remark: source.remark(),
             opened,
         })
@@ -417,7 +446,7 @@ impl Labelled {
             scene.instance.as_deref().filter(|ids| !pieces && ids.iter().any(|i| *i >= 0));
         if instances.is_some() {
             let text = "the scene carries instances: each is an object (--pieces looks for objects instead)";
-            session.progress.say(text);
+            session.progress.detail(text);
             session.receipt.setting("instances", "scene", text);
         }
         let features = self.features.as_ref().map(|(features, _)| features);

@@ -24,13 +24,10 @@ pub struct Asking<'a> {
 }
 
 impl Asking<'_> {
-    /// Places in the catalogue of the objects that a phrase means; for a relation the best first.
+    /// Places in the catalogue of the objects that a phrase means, none if there are none; for a relation the best first.
     pub fn meant(&self, phrase: &str) -> Result<Vec<usize>> {
         match Phrase::parse(phrase, self.labels).map_err(phrase_error)? {
-            Phrase::Plain => {
-                let places = self.with_labels(&self.labels_of(phrase)?);
-                if places.is_empty() { self.none(phrase) } else { Ok(places) }
-            }
+            Phrase::Plain => Ok(self.with_labels(&self.labels_of(phrase)?)),
             Phrase::Denied(denied) => {
                 let left = denied.labels(self.labels).map_err(phrase_error)?;
                 tell_denied(self.session, phrase, &left.reading, &left.denied);
@@ -92,12 +89,16 @@ impl Asking<'_> {
         names.join(", ")
     }
 
-    /// No object has this name.
+    /// No class has this name.
     fn none<T>(&self, name: &str) -> Result<T> {
+        Err(WrongUse(format!("no object can be a {name:?}; {}", self.there_are())).into())
+    }
+
+    /// The classes of the objects.
+    pub fn there_are(&self) -> String {
         let mut known: Vec<&str> = self.found.objects.iter().map(|o| o.class.as_str()).collect();
         known.dedup();
         let all = known[..known.len().min(MOST_LISTED)].join(", ");
-        Err(WrongUse(format!("no object is a {name:?}; there are: {}", printable_text(&all)))
-            .into())
+        format!("there are: {}", printable_text(&all))
     }
 }

@@ -2,6 +2,7 @@
 //! training stopped and saved.
 
 mod adapt;
+mod answer;
 mod app;
 mod bench;
 mod chunk;
@@ -63,6 +64,9 @@ struct Cli {
     /// Fails where there is a warning; no results are put in place then.
     #[arg(long, global = true)]
     warnings_as_errors: bool,
+    /// Also prints what was done step by step, and the receipt: stages, settings, files.
+    #[arg(short, long, global = true)]
+    verbose: bool,
     /// Form of messages and progress on standard error: text, or json, one object a line.
     #[arg(
         long,
@@ -172,6 +176,9 @@ pub fn run(args: impl IntoIterator<Item = OsString>, file: Option<&Path>) -> u8 
     let matches = command.try_get_matches_from_mut(&args);
     if let Ok(matches) = &matches {
         begin(matches);
+        if log::is_verbose() && is_quiet(matches) {
+            return end(Err(WrongUse("--quiet and --verbose: give one of them".to_owned()).into()));
+        }
     }
     let asked = matches.as_ref().ok().map(|matches| many::asked(matches));
     if let Some(Ok(Some(many))) = asked {
@@ -215,12 +222,19 @@ fn with_defaults(
 
 /// Says what a file gave, in the form that the command line or that file asks for.
 fn begin(matches: &clap::ArgMatches) {
+    log::set_verbose(matches.get_flag("verbose"));
     log::set_format(matches.get_one("log_format").copied().unwrap_or_default());
     if let Some((file, taken)) = defaults::taken() {
         let words: Vec<String> = taken.iter().map(defaults::Taken::word).collect();
         let text = format!("{}: {} (--no-config ignores it)", file.display(), words.join(" "));
         terminal::say(Level::Info, &text);
     }
+}
+
+/// Whether the command, which may know no such flag, was asked to be quiet.
+fn is_quiet(matches: &clap::ArgMatches) -> bool {
+    let asked = matches.subcommand().and_then(|(_, of)| of.try_get_one::<bool>("quiet").ok()?);
+    asked.copied().unwrap_or(false)
 }
 
 /// Says what may help after a command line that cannot be understood.

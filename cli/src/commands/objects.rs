@@ -1,10 +1,12 @@
 //! `scenesplat objects`
 
+use super::answer::{certainty, short};
 use super::labelled::{LabelArgs, Labelled};
 use super::meant::Asking;
 use crate::error::refuse;
 use crate::flags::Shared;
 use crate::frame::{Frame, frame};
+use crate::log;
 use crate::session::Session;
 use crate::terminal::print;
 use anyhow::{Context, Result};
@@ -12,7 +14,7 @@ use scenesplat::object_picture;
 use scenesplat::objects::colliders::{
     ColliderSettings, Colliders, REACH, colliders, colliders_glb,
 };
-use scenesplat::objects::{Catalogue, Floor, Object, ObjectInput, table};
+use scenesplat::objects::{Catalogue, Floor, Object, ObjectInput, is_kind, table};
 use scenesplat::preview::write_png;
 use scenesplat::scene::formats::inria_ply::write_inria_ply;
 use scenesplat::scene::{AtomicFile, GaussianScene, printable_text};
@@ -62,6 +64,9 @@ pub struct Args {
     pub shared: Shared,
 }
 
+/// Things that are printed; of more it says how many.
+const MOST_OBJECTS: usize = 5;
+
 /// What every catalogue is written as.
 pub const OBJECT_FILES: [&str; 3] = ["instances.npy", "objects.json", "objects.csv"];
 
@@ -85,15 +90,23 @@ pub fn run(args: &Args, line: &str) -> Result<()> {
     let frame = frame(&session, &labelled.opened, inference);
     let found = labelled.objects(&session, &labels.settings(), labels.pieces, frame)?;
     session.check_stop()?;
-    print(&table::markdown(&found));
-    print(&summary(&found));
+    let is_quiet = args.shared.running.quiet;
+    match (is_quiet, log::is_verbose()) {
+        (true, _) => {}
+        (false, true) => print(&table::markdown(&found)),
+        (false, false) => largest(&found).iter().for_each(|line| print(line)),
+    }
+    if !is_quiet {
+        print(&summary(&found));
+        certainty(&session).iter().for_each(|text| session.tell(text));
+    }
     let asking = Asking { session: &session, found: &found, labels: &labelled.names };
     if let Some(phrase) = &args.find {
         print(&answer(&asking, phrase)?);
     }
     write_objects(&session, &labelled, &found)?;
     if let Some(path) = &args.json {
-        session.write_file(path, &serde_json::to_string_pretty(&table::json(&found))?)?;
+        session.write_file(path, &json(&session, &labelled, &found)?)?;
     }
     {
         let _stage = session.receipt.stage("picture");
@@ -117,6 +130,29 @@ pub fn run(args: &Args, line: &str) -> Result<()> {
     session.finish()
 }
 
+/// The largest things, without what the room itself is made of; a line each, and how many more there are.
+fn largest(found: &Catalogue) -> Vec<String> {
+    let is_structure = |object: &Object| {
+        ["wall", "floor", "ceiling"].iter().any(|kind| is_kind(&object.class, kind))
+    };
+    let mut things: Vec<&Object> = found.objects.iter().filter(|o| !is_structure(o)).collect();
+    things.sort_by(|a, b| b.volume.total_cmp(&a.volume));
+    let more = things.len().saturating_sub(MOST_OBJECTS);
+    let line = |o: &&Object| {
+        let ([l, w, h], [x, y, z]) = (o.bounds.size, o.position);
+        format!(
+            "{:>4}  {:20} {l:.2} x {w:.2} x {h:.2} m at {x:.2}, {y:.2}, {z:.2}",
+            o.id,
+            short(&o.class)
+        )
+    };
+    let mut lines: Vec<String> = things.iter().take(MOST_OBJECTS).map(line).collect();
+    if more > 0 {
+        lines.push(format!("      and {more} more things in objects.md (--verbose prints all)"));
+    }
+    lines
+}
+
 /// One line: how many objects of which classes.
 pub fn summary(found: &Catalogue) -> String {
     let counts = found.counts();
@@ -133,8 +169,9 @@ pub fn summary(found: &Catalogue) -> String {
         _ => "the lowest Gaussians",
     };
     format!(
-        "{} objects: {}; {} labeled Gaussians in no object{}; heights are over {floor}",
+        "{} objects{}: {}; {} labeled Gaussians in no object{}; heights are over {floor}",
         found.objects.len(),
+        if found.is_carried { " (the instances that the scene carries)" } else { "" },
         if each.is_empty() { "none".to_owned() } else { each.join(", ") },
         found.left_over,
         left_out(found)
@@ -158,11 +195,19 @@ pub fn left_out(found: &Catalogue) -> String {
 /// Writes `OBJECT_FILES` into the output folder.
 pub fn write_objects(session: &Session<'_>, labelled: &Labelled, found: &Catalogue) -> Result<()> {
     session.write_rows("instances.npy", &labelled.opened, &found.instances(), -1)?;
-    let json = serde_json::to_string_pretty(&table::json(found))?;
+    let json = json(session, labelled, found)?;
     for (name, text) in [("objects.json", json), ("objects.csv", table::csv(found))] {
         session.write_text(name, &text)?;
     }
     Ok(())
+}
+
+/// The objects, where their labels and pieces come from, and what makes them doubtful.
+fn json(session: &Session<'_>, labelled: &Labelled, found: &Catalogue) -> Result<String> {
+    let mut json = table::json(found);
+    json["labels_from"] = labelled.origin.name().into();
+    json["warnings"] = session.doubts().into();
+    Ok(serde_json::to_string_pretty(&json)?)
 }
 
 fn parse_cell(text: &str) -> Result<f64, String> {
@@ -226,7 +271,7 @@ fn with_instances(labelled: &Labelled, found: &Catalogue) -> GaussianScene {
 fn answer(asking: &Asking<'_>, phrase: &str) -> Result<String> {
     let (places, found) = (asking.meant(phrase)?, asking.found);
     if places.is_empty() {
-        return Ok(format!("{phrase:?}: none"));
+        return Ok(format!("{phrase:?}: none; {}", asking.there_are()));
     }
     let line = |&i: &usize| {
         let Object { id, class, position: [x, y, z], .. } = &found.objects[i];
@@ -276,7 +321,11 @@ fn file_name(class: &str) -> String {
 fn edit(args: &Args, asking: &Asking<'_>, scene: &GaussianScene) -> Result<()> {
     let mut chosen = vec![false; scene.len()];
     for phrase in args.remove.iter().chain(&args.keep) {
-        for place in asking.meant(phrase)? {
+        let places = asking.meant(phrase)?;
+        if places.is_empty() {
+            print(&format!("{phrase:?}: none; {}", asking.there_are()));
+        }
+        for place in places {
             asking.found.objects[place].rows.iter().for_each(|&row| chosen[row as usize] = true);
         }
     }

@@ -1,5 +1,6 @@
 //! `scenesplat segment`
 
+use super::answer::{self, certainty};
 use super::labelled::{Labelled, Labelling};
 use super::many::OneOrMany;
 use super::objects::{OBJECT_FILES, summary, write_objects};
@@ -38,6 +39,16 @@ pub struct Args {
 
 /// Runs the command.
 pub fn run(args: &Args, line: &str) -> Result<()> {
+    label(args, line)?;
+    if !args.shared.running.quiet {
+        let lines = ["view SCENE", "objects SCENE", "query SCENE \"chair\""];
+        print(&answer::next(&args.input.scene, &lines));
+    }
+    Ok(())
+}
+
+/// Labels a scene, and prints what came of it.
+pub fn label(args: &Args, line: &str) -> Result<()> {
     let Labelling { vote_k, features, inference, .. } = &args.labelling;
     let job = Job {
         command: "segment",
@@ -66,7 +77,8 @@ pub fn run(args: &Args, line: &str) -> Result<()> {
         session.write_rows("scores.npy", opened, scores.unwrap_or_default(), 0.0)?;
         session.write_text("classes.json", &serde_json::to_string_pretty(names)?)?;
         session.write("segmented.ply", |path| {
-            let columns = ResultColumns { label: Some(labels), score: scores };
+            let warnings = &session.doubts();
+            let columns = ResultColumns { label: Some(labels), score: scores, warnings };
             write_colored_ply(opened, &label_colors(labels), &columns, path)
         })?;
         session.receipt.add_rows_out(opened.loaded.source_rows());
@@ -85,5 +97,7 @@ pub fn run(args: &Args, line: &str) -> Result<()> {
         write_objects(&session, &labelled, &found)?;
         print(&summary(&found));
     }
+    session.tell(answer::labels(&args.input.name(), labels, names));
+    certainty(&session).iter().for_each(|text| session.tell(text));
     session.finish()
 }

@@ -1,6 +1,6 @@
 //! `scenesplat view`
 
-use super::labelled::{LabelArgs, Labelled};
+use super::labelled::{LabelArgs, LabelOrigin, Labelled};
 use super::objects::left_out;
 use crate::error::refuse;
 use crate::flags::{Running, Shared};
@@ -104,6 +104,7 @@ pub fn run(args: &Args, line: &str) -> Result<()> {
         vocabulary: vocabulary.as_ref(),
         upright: frame.upright,
         metres_per_unit: frame.metres_per_unit,
+        warnings: &session.doubts(),
         remarks: &remarks,
     };
     let Some(server) = server else {
@@ -226,7 +227,7 @@ fn plain(labels: &LabelArgs, session: &Session<'_>) -> Result<Labelled> {
         names: Vec::new(),
         features: None,
         is_vocabulary: false,
-        is_own: false,
+        origin: LabelOrigin::Scene,
         effects: Vec::new(),
         remark: "",
     })
@@ -235,18 +236,19 @@ fn plain(labels: &LabelArgs, session: &Session<'_>) -> Result<Labelled> {
 /// What a reader of the page has to know.
 fn remarks(args: &Args, labelled: &Labelled, found: Option<&Catalogue>) -> Vec<String> {
     let mut out = Vec::new();
-    if !labelled.remark.is_empty() {
-        out.push("Seeded weights: labels, scores and answers mean nothing.".to_owned());
-    }
     if !args.plain {
-        let from = match (&args.labels.label_names, labelled.is_own) {
-            (Some(_), _) => "Labels: those that the scene carries.",
-            (None, true) => {
+        let from = match labelled.origin {
+            LabelOrigin::Scene => "Labels: those that the scene carries.",
+            LabelOrigin::Embedded => {
                 "Labels: a small network trained on synthetic rooms; it knows a closed set of classes (assets/embedded/README.md)."
             }
-            (None, false) => "Labels: the network or features that were given.",
+            LabelOrigin::Network => "Labels: those of the network that was given.",
+            LabelOrigin::Features => "Labels: those nearest to the features that were given.",
         };
         out.push(from.to_owned());
+        if found.is_some_and(|found| found.is_carried) {
+            out.push("Objects: the instances that the scene carries.".to_owned());
+        }
     }
     out.extend(labelled.effects.iter().map(|effect| format!("Effect of the capture: {effect}.")));
     if let Some(text) = found.map(left_out).filter(|text| !text.is_empty()) {

@@ -134,6 +134,12 @@ impl ReceiptReport {
         }
     }
 
+    /// Time and memory, in a few words.
+    pub fn cost(&self) -> String {
+        let peak = self.peak_memory_bytes.map(|bytes| format!(", {} of memory", bytes_text(bytes)));
+        format!("{:.1} s{}", self.wall_seconds, peak.unwrap_or_default())
+    }
+
     /// The report as JSON.
     ///
     /// # Errors
@@ -221,7 +227,8 @@ pub(super) fn bytes_text(bytes: u64) -> String {
     }
 }
 
-pub(super) fn thousands(value: u64) -> String {
+/// A number with spaces between thousands.
+pub fn thousands(value: u64) -> String {
     let digits = value.to_string();
     let mut text = String::new();
     for (i, digit) in digits.chars().enumerate() {

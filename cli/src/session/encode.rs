@@ -112,7 +112,7 @@ impl Session<'_> {
                 s.shrunk_halos, s.smallest_halo
             ));
         }
-        self.progress.say(format!(
+        self.progress.detail(format!(
             "{} Gaussians, {} voxels, {} passes, {} tiles, {} voxels computed",
             features.len(),
             s.voxels,
@@ -124,12 +124,12 @@ impl Session<'_> {
             let each = features.calibrated.iter();
             let shares = each.map(|(name, kept)| format!("{:.2} % in {name}", 100.0 * kept));
             let text = shares.collect::<Vec<_>>().join(", ");
-            self.progress.say(format!("rank: convolutions keep {text}"));
+            self.progress.detail(format!("rank: convolutions keep {text}"));
             receipt.setting("rank_keeps", text, "of their variance, on a part of the scene");
         }
         if let Some(codes) = features.codes() {
             let text = format!("{:.2} %", 100.0 * codes.kept);
-            self.progress.say(format!(
+            self.progress.detail(format!(
                 "codes: {} of {} numbers keep {text} of the features' squared length",
                 codes.codes(),
                 codes.width

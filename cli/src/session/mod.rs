@@ -15,6 +15,7 @@ use crate::flags::{Inference, NetworkArgs, Shared};
 use crate::outputs::Outputs;
 use crate::progress::{Progress, interrupted};
 use crate::receipt::Receipt;
+use crate::terminal::print;
 use anyhow::{Context, Result};
 pub use open::FeatureSource;
 use scenesplat::Network;
@@ -47,6 +48,8 @@ pub struct Session<'a> {
     /// What is read and written.
     pub outputs: Outputs,
     written: RefCell<Vec<(PathBuf, u64)>>,
+    /// What makes the results doubtful; files say it, too.
+    doubts: RefCell<Vec<String>>,
     /// The scene, where a budget had to look at it before.
     input: RefCell<Option<(OpenedScene, Option<String>)>>,
     /// What the caller holds, where the command is a function of another program.
@@ -65,9 +68,9 @@ impl<'a> Session<'a> {
         receipt.threads(rayon::current_num_threads());
         let outputs = Outputs::new(&shared.out);
         outputs.claim_any("--receipt", shared.receipt.as_ref())?;
-        let (written, input, aligned) = Default::default();
+        let (written, doubts, input, aligned) = Default::default();
         let held = None;
-        Ok(Self { shared, receipt, progress, outputs, written, input, held, aligned })
+        Ok(Self { shared, receipt, progress, outputs, written, doubts, input, held, aligned })
     }
 
     /// Takes scenes, which go by their paths, and a network that the caller holds, for those that the flags name.
@@ -161,11 +164,38 @@ impl<'a> Session<'a> {
         }
     }
 
-    /// As [`warn`](Self::warn), between asterisks.
+    /// As [`doubt`](Self::doubt), between asterisks.
     pub fn warn_loudly(&self, text: impl Into<String>) {
         let text = text.into();
+        self.note_doubt(&text);
         if self.progress.warn(&format!("*** {text} ***")) {
             self.receipt.warning(text);
+        }
+    }
+
+    /// Prints a part of the answer, unless quiet: for commands whose files are what they are run for.
+    pub fn tell(&self, text: impl AsRef<str>) {
+        if !self.shared.running.quiet {
+            print(text.as_ref());
+        }
+    }
+
+    /// As [`warn`](Self::warn), of what makes the results doubtful: the files tell those who did not see the terminal.
+    pub fn doubt(&self, text: impl Into<String>) {
+        let text = text.into();
+        self.note_doubt(&text);
+        self.warn(text);
+    }
+
+    /// What makes the results doubtful, as far as it was warned of.
+    pub fn doubts(&self) -> Vec<String> {
+        self.doubts.borrow().clone()
+    }
+
+    fn note_doubt(&self, text: &str) {
+        let mut doubts = self.doubts.borrow_mut();
+        if !doubts.iter().any(|known| known == text) {
+            doubts.push(text.to_owned());
         }
     }
 

@@ -43,14 +43,14 @@ impl Session<'_> {
         let network = Network::load_on(config, weights, options, &device.device)?;
         self.note_weights(&network, weights);
         if partial && !network.report().is_complete() {
-            self.warn(format!("partial weights: {}", network.report()));
+            self.doubt(format!("partial weights: {}", network.report()));
         }
         Ok(network)
     }
 
     fn note_weights(&self, network: &Network, weights: &Weights) {
         for (path, sha256) in network.files() {
-            self.progress.say(format!("weights {} sha256 {sha256}", printable(path)));
+            self.progress.detail(format!("weights {} sha256 {sha256}", printable(path)));
             let bytes = std::fs::metadata(path).map_or(0, |m| m.len());
             self.receipt.fingerprint_known("weights", path, bytes, sha256);
         }
@@ -63,14 +63,14 @@ impl Session<'_> {
                 self.receipt.setting("weights", format!("seeded:{seed}"), "values from a hash");
             }
             Weights::Embedded => {
-                self.progress.say(
+                self.progress.detail(
                     "weights: the small network inside the program, trained on synthetic rooms \
                      (its card: assets/embedded/README.md)",
                 );
                 let sha256 = scenesplat::embedded::sha256();
                 self.receipt.setting("weights", scenesplat::embedded::NAME, &sha256);
             }
-            Weights::File(_) => self.progress.say(format!("weights: {}", network.report())),
+            Weights::File(_) => self.progress.detail(format!("weights: {}", network.report())),
         }
     }
 
@@ -82,7 +82,7 @@ impl Session<'_> {
                 DeviceChoice::Auto => opened.name.as_str().to_owned(),
                 choice => format!("{choice} ({})", opened.name),
             };
-            self.progress.say(format!("device: {name}"));
+            self.progress.detail(format!("device: {name}"));
             self.receipt.setting("device", &name, "where the network computes");
         }
         if let Some(why) = &opened.fell_back {

@@ -85,7 +85,7 @@ impl Session<'_> {
             return Ok(opened);
         }
         self.outputs.reads(path)?;
-        self.progress.say(format!("reading {}", path.display()));
+        self.progress.detail(format!("reading {}", path.display()));
         let before = self.input.take().filter(|(opened, _)| opened.loaded.path == path);
         let (opened, remark) = before.map_or_else(|| open_input(path, options), Ok)?;
         if let Some(text) = remark {

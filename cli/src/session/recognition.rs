@@ -26,7 +26,7 @@ impl Session<'_> {
                 "whether the network knows such a scene is not judged: it has fewer than {FEWEST} Gaussians"
             );
             self.receipt.setting("known", "not judged", &why);
-            self.progress.say(why);
+            self.progress.detail(why);
             return Ok(None);
         }
         let turn = frame(self, opened, inference).turn;
@@ -54,7 +54,7 @@ impl Session<'_> {
             share if share > 0.995 => "this looks".to_owned(),
             share => format!("{:.0} % of this look", 100.0 * share),
         };
-        self.warn(format!(
+        self.doubt(format!(
             "{what} like nothing that the network inside the program was trained on: {consequence}"
         ));
     }

@@ -2,7 +2,8 @@
 
 use super::Session;
 use crate::flags::PreviewArgs;
-use crate::receipt::WrittenFile;
+use crate::log;
+use crate::receipt::{ReceiptReport, WrittenFile};
 use crate::terminal::{check_warnings, print, write_text};
 use anyhow::{Context, Result};
 use scenesplat::memory::Bytes;
@@ -11,6 +12,9 @@ use scenesplat::preview::LegendEntry;
 use scenesplat::scene::formats::npy_writer::{NpyElement, write_npy};
 use scenesplat::scene::{GaussianScene, Up, printable};
 use std::path::{Path, PathBuf};
+
+/// Files that a command names at its end; of more it says how many.
+const MOST_FILES: usize = 8;
 
 impl Session<'_> {
     /// Writes a file of the output folder by `work`, which gets the path; it is put in place when the command is done.
@@ -51,7 +55,7 @@ impl Session<'_> {
         up: Up,
         preview: PreviewArgs,
     ) -> Result<()> {
-        let settings = preview.settings(title, up);
+        let settings = preview.settings(title, self.doubts(), up);
         self.write("preview.png", |path| {
             write_scene_preview(scene, colors, legend, &settings, path)
         })
@@ -98,10 +102,34 @@ impl Session<'_> {
         let text = report.to_json()?;
         self.outputs.commit(Some((&text, self.shared.receipt.as_deref())))?;
         self.say_written();
-        if !self.shared.running.quiet {
-            print(&report.to_string());
+        match (self.shared.running.quiet, log::is_verbose()) {
+            (true, _) => {}
+            (false, true) => print(&report.to_string()),
+            (false, false) => print(&self.summary(&report)),
         }
         Ok(())
+    }
+
+    /// Where the files are and what it cost, in two lines.
+    fn summary(&self, report: &ReceiptReport) -> String {
+        let out = &self.shared.out;
+        let written = self.written.borrow();
+        let (inside, outside): (Vec<_>, Vec<_>) =
+            written.iter().map(|(path, _)| path).partition(|path| path.starts_with(out));
+        let mut places = Vec::new();
+        if !inside.is_empty() {
+            let names = inside.iter().filter_map(|path| path.strip_prefix(out).ok()).map(printable);
+            let more = inside.len().saturating_sub(MOST_FILES);
+            let mut names: Vec<_> = names.take(MOST_FILES).collect();
+            names.push("receipt.json".into());
+            if more > 0 {
+                names.push(format!("{more} more").into());
+            }
+            places.push(format!("in {}: {}", printable(out), names.join(", ")));
+        }
+        let receipt = self.shared.receipt.iter();
+        places.extend(outside.into_iter().chain(receipt).map(|path| printable(path).into_owned()));
+        format!("{}\n{}; --verbose says more", places.join("; "), report.cost())
     }
 
     /// Puts everything in place, without a receipt unless the user asked for one.
@@ -118,7 +146,7 @@ impl Session<'_> {
 
     fn say_written(&self) {
         for (path, bytes) in self.written.borrow().iter() {
-            self.progress.say(format!("wrote {} ({})", printable(path), Bytes(*bytes)));
+            self.progress.detail(format!("wrote {} ({})", printable(path), Bytes(*bytes)));
         }
     }
 }

@@ -16,6 +16,7 @@ mod compare;
 mod convert;
 mod doctor;
 mod effects;
+mod first_screen;
 mod hostile;
 mod inputs;
 mod inspect;

@@ -94,7 +94,7 @@ fn objects_are_listed_drawn_exported_and_taken_out() {
     done(&run("--keep floor --pieces"));
     assert!(read(out("edited.ply")).segment.unwrap().iter().all(|l| *l == 1));
     for (more, part) in [
-        ("--remove piano", "no object is a \"piano\"; there are: wall"),
+        ("--remove spaceship", "no object can be a \"spaceship\"; there are: wall"),
         ("--export ../parts", "one plain name"),
         ("--remove wall --keep floor", "cannot be used with"),
         ("--weights seeded:0", "leave out --weights"),
@@ -126,6 +126,11 @@ fn boxes_are_level_in_a_room_that_is_not_and_heights_begin_at_a_given_floor() {
     let some_small = level["small_instances"].as_u64().unwrap() > 0;
     let is_said = said.contains("instances of the scene are none, having too few");
     assert_eq!(is_said, some_small, "{said}");
+    assert_eq!(
+        (&level["labels_from"], &level["instances_from"]),
+        (&"scene".into(), &"scene".into())
+    );
+    has(&said, &["(the instances that the scene carries)"]);
     let (other, _) = run("tilted.ply", "tilted", "");
     let (a, b) = (level["objects"].as_array().unwrap(), other["objects"].as_array().unwrap());
     assert_eq!(a.len(), b.len());
@@ -202,7 +207,56 @@ fn segment_and_objects_find_the_same() {
     for name in ["objects.json", "instances.npy"] {
         assert!(file(&one, name) == file(&two, name), "{name}");
     }
+    // What the terminal warned of stands in the files, too.
+    let found = json(folder.path("one/objects.json"));
+    assert_eq!(
+        (&found["labels_from"], &found["instances_from"]),
+        (&"network".into(), &"labels".into())
+    );
+    has(&found["warnings"].to_string(), &["SEEDED WEIGHTS (0)"]);
+    let head = bytes(folder.path("one/segmented.ply"));
+    let head = String::from_utf8_lossy(&head[..2000]);
+    has(&head, &["\ncomment scenesplat warning: SEEDED WEIGHTS (0)"]);
     assert!(!folder.path("one/objects.png").exists());
+}
+
+#[test]
+fn a_place_is_told_by_the_objects_in_query_as_in_find() {
+    let folder = Folder::new();
+    let room = asset_at("room.ply");
+    let [one, two] = ["one", "two"].map(|name| folder.at(name));
+    let phrase = "'chair near the table'";
+    let said = printed(&run!("objects {room} --out {one} --find {phrase}"));
+    let ids: Vec<i64> = said
+        .lines()
+        .filter_map(|line| line.strip_prefix("\"chair near the table\": "))
+        .map(|rest| rest.split(' ').next().unwrap().parse().unwrap())
+        .collect();
+    assert!(!ids.is_empty(), "{said}");
+    // Numbers of objects begin at 1, those of the file at 0.
+    let of_object = labels(format!("{one}/instances.npy"));
+    let due: Vec<i64> = of_object.iter().map(|id| i64::from(ids.contains(&(id + 1)))).collect();
+    let said = printed(&run!("query {room} {phrase} --out {two}"));
+    assert_eq!(labels(format!("{two}/selection.npy")), due);
+    has(&said, &[&format!("{} of 16000 Gaussians", due.iter().sum::<i64>())]);
+    // Understood, and not there: no error, in all three.
+    let said = printed(&run!("objects {room} --out {one} --find toilet --remove toilet"));
+    has(&said, &["\"toilet\": none; there are: wall", "edited.ply: 16000 of 16000"]);
+    has(&printed(&run!("query {room} toilet --out {two}")), &["\"toilet\": "]);
+    has(&printed(&run!("query {room} 'toilet on the table' --out {two}")), &["nothing selected"]);
+    refused(&run!("query {room} 'spaceship on the table' --out {two}"), 2, &["spaceship"]);
+}
+
+/// A text that a page carries.
+fn block(page: &str, name: &str) -> String {
+    use base64::prelude::{BASE64_STANDARD, Engine};
+    use std::io::Read;
+    let (_, rest) = page.split_once(&format!("id=\"block-{name}\"")).unwrap();
+    let (packed, _) = rest.split_once('>').unwrap().1.split_once('<').unwrap();
+    let packed = BASE64_STANDARD.decode(packed.trim()).unwrap();
+    let mut text = String::new();
+    flate2::read::ZlibDecoder::new(&packed[..]).read_to_string(&mut text).unwrap();
+    text
 }
 
 #[test]
@@ -216,12 +270,14 @@ fn a_page_is_one_file_that_loads_nothing() {
     let whole = text(&out);
     assert!(whole.starts_with("<!doctype html>"));
     has(&whole, &["default-src 'none'", "id=\"block-codes\"", "id=\"block-program\""]);
+    has(&block(&whole, "about"), &["\"warnings\":[\"SEEDED WEIGHTS (0)"]);
     assert!(!whole.contains("src=") && !whole.contains("import "));
     assert_eq!(folder.count(), 1, "one file");
 
     done(&page(&format!("--label-names {}", other.names())));
     let labels = text(&out);
     assert!(labels.contains("id=\"block-label\"") && !labels.contains("id=\"block-codes\""));
+    has(&block(&labels, "about"), &["\"warnings\":[]", "those that the scene carries"]);
     done(&page("--plain --max-splats 500"));
     assert!(bytes(&out).len() < whole.len());
     let cases = [

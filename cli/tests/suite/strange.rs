@@ -51,6 +51,12 @@ fn a_strange_scene_is_said_to_be_one_and_stays_unknown_if_asked() {
         assert_eq!((again.to_bits(), warned, labelled(out)), (strange.to_bits(), 1, 0), "{said}");
         has(&said, &["labels are left out"]);
     }
+    // Who opens a file reads it there.
+    let said_in = |out: &str| {
+        let file = bytes(folder.path(&format!("{out}/segmented.ply")));
+        String::from_utf8_lossy(&file[..3000]).matches("warning: this looks like nothing").count()
+    };
+    assert_eq!(["room", "heap", "auto"].map(said_in), [0, 1, 1]);
     // What is asked of a strange scene is said to be a guess, too.
     let (again, _, said) = run("query @heap.ply chair", "asked");
     has(&said, &["what is found is a guess"]);

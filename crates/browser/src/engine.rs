@@ -163,6 +163,7 @@ impl Engine {
             "up": found.alignment.turned_from.to_string(),
             "metresPerUnit": found.alignment.scale,
             "voxels": found.features.summary.voxels,
+            "warnings": found.warnings,
             "remarks": found.remarks,
         });
         self.labelled = Some(found);
@@ -204,6 +205,7 @@ impl Engine {
             vocabulary: Some(&vocabulary),
             upright: found.alignment.upright(),
             metres_per_unit: found.alignment.scale,
+            warnings: &found.warnings,
             remarks: &remarks,
         };
         Ok(page_parts(&input, &PageSettings::default())?)

@@ -54,7 +54,9 @@ pub struct Labelled {
     pub catalogue: Catalogue,
     /// How the scene lies.
     pub alignment: Alignment,
-    /// What a reader has to know.
+    /// What makes labels doubtful.
+    pub warnings: Vec<String>,
+    /// What else a reader may want to know.
     pub remarks: Vec<String>,
 }
 
@@ -79,15 +81,15 @@ pub(crate) fn label(
     tell(Stage::Labels, 0.0);
     let mut found = labels(scene, &features, &text, &surfaces)?;
     tell(Stage::Recognition, 0.0);
-    let mut remarks = of_alignment(&alignment);
-    remarks.extend(withhold_strange(scene, &alignment, &features, &surfaces, &mut found)?);
+    let [mut warnings, mut remarks] = of_alignment(&alignment);
+    warnings.extend(withhold_strange(scene, &alignment, &features, &surfaces, &mut found)?);
     let costs = EffectCosts::embedded()?;
     let effects = found_effects(&profile(scene, metres), Some(&costs));
     remarks.extend(effects.iter().map(|effect| format!("Effect of the capture: {effect}.")));
     tell(Stage::Objects, 0.0);
     let catalogue = objects(scene, &features, &text, &alignment, &found)?;
     let Labels { labels, scores, .. } = found;
-    Ok(Labelled { labels, scores, text, features, catalogue, alignment, remarks })
+    Ok(Labelled { labels, scores, text, features, catalogue, alignment, warnings, remarks })
 }
 
 /// How the scene lies; where its shape leaves that open, the network decides.

@@ -6,9 +6,11 @@ use scenesplat::alignment::Remark;
 /// A smaller share of a scene that stays unknown is only counted.
 const WORTH_A_REMARK: f64 = 0.02;
 
-/// How the network turned and scaled the scene, and what is not sure about it; the scene itself keeps its frame.
-pub(crate) fn of_alignment(alignment: &Alignment) -> Vec<String> {
-    alignment.remarks.iter().map(of).collect()
+/// What is not sure about how the scene lies, and how the network turned and scaled it; the scene itself keeps its frame.
+pub(crate) fn of_alignment(alignment: &Alignment) -> [Vec<String>; 2] {
+    let (doubts, others): (Vec<_>, Vec<_>) =
+        alignment.remarks.iter().partition(|remark| remark.is_warning());
+    [doubts, others].map(|remarks| remarks.into_iter().map(of).collect())
 }
 
 fn of(remark: &Remark) -> String {

@@ -70,6 +70,8 @@ pub struct Catalogue {
     pub nameless_instances: usize,
     /// Gaussians of the scene.
     pub gaussians: usize,
+    /// Whether the objects are instances that the scene carries, not pieces of its classes.
+    pub is_carried: bool,
 }
 
 /// Finds the objects of a labeled scene.
@@ -124,6 +126,7 @@ pub fn find_objects(input: &ObjectInput<'_>, settings: &ObjectSettings) -> Resul
         small_instances,
         nameless_instances,
         gaussians: input.scene.len(),
+        is_carried: input.instances.is_some(),
     })
 }
 

@@ -33,6 +33,7 @@ pub(crate) fn catalogue(objects: Vec<Object>, gaussians: usize) -> Catalogue {
         small_instances: 0,
         nameless_instances: 0,
         gaussians,
+        is_carried: false,
     }
 }
 

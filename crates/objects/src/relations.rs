@@ -133,6 +133,7 @@ mod tests {
             small_instances: 0,
             nameless_instances: 0,
             gaussians: 0,
+            is_carried: false,
         }
     }
 

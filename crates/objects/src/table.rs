@@ -17,6 +17,7 @@ pub fn json(catalogue: &Catalogue) -> Value {
         "left_over": catalogue.left_over,
         "small_instances": catalogue.small_instances,
         "nameless_instances": catalogue.nameless_instances,
+        "instances_from": if catalogue.is_carried { "scene" } else { "labels" },
         "floor": {
             "height": catalogue.floor.height,
             "labelled": catalogue.floor.is_labelled,
@@ -147,6 +148,7 @@ mod tests {
             small_instances: 0,
             nameless_instances: 0,
             gaussians: 50,
+            is_carried: true,
         }
     }
 

@@ -43,6 +43,8 @@ export interface Segmented {
   up: string;
   metresPerUnit: number;
   voxels: number;
+  /** What makes labels doubtful. */
+  warnings: string[];
   remarks: string[];
 }
 

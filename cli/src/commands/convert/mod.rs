@@ -40,6 +40,7 @@ pub fn run(args: &Args) -> Result<()> {
         lod_levels: args.lod_levels,
         overwrite: args.overwrite,
         stated_up: args.stated_after(&source, &edited, &progress),
+        ..WriteOptions::default()
     };
     let step = format!("writing {}", format.name());
     let written = write_scene(&scene, &args.to, format, &options, &mut |done| {

@@ -85,7 +85,7 @@ fn score(
     let truth = evaluation.truth(scene, class_of).map_err(explained)?;
     let checked = {
         let _stage = session.receipt.stage("oracle");
-        session.progress.say("oracle: the truth through the same chain");
+        session.progress.detail("oracle: the truth through the same chain");
         evaluation.check(&truth, args.break_oracle).map_err(explained)?
     };
     report::tell_oracle(session, evaluation.names(), &checked, path);

@@ -1,5 +1,6 @@
 //! What `evaluate` prints and writes.
 
+use crate::log;
 use crate::session::Session;
 use crate::terminal::print;
 use anyhow::{Context, Result};
@@ -51,6 +52,9 @@ pub fn tell_oracle(session: &Session<'_>, names: &[String], report: &OracleRepor
             other.map_or("unknown", |n| n.as_str())
         ));
     }
+    if !log::is_verbose() {
+        return;
+    }
     print(&format!(
         "{}: oracle matches its analytic value on {} labeled Gaussians, {} scored points: mIoU {}, \
          allAcc {}",
@@ -81,10 +85,13 @@ pub fn tell(report: &EvaluationReport, names: &[String], meaningless: bool) -> V
         "{:14} {:>8} {:>8} {:>8} {:>8} {:>8}",
         "", "mIoU", "mAcc", "allAcc", "f-mIoU", "f-mAcc"
     ));
-    let rows = [("oracle", &report.oracle), ("random labels", &report.random)];
+    let yardsticks = [("oracle", &report.oracle), ("random labels", &report.random)];
     let of_features = report.model.as_ref().map(|m| ("features", m));
     let given = report.given.as_ref().map(|m| ("of those given", m));
-    for (name, row) in rows.into_iter().chain(of_features).chain(given) {
+    // What the truth itself gets on its way through, and chance: for who looks for a fault.
+    let is_asked = log::is_verbose() || of_features.is_none();
+    let yardsticks = yardsticks.into_iter().filter(|_| is_asked);
+    for (name, row) in yardsticks.chain(of_features).chain(given) {
         print(&format!("{name:14} {}", columns(row)));
     }
     if report.withheld > 0 {

@@ -119,7 +119,7 @@ impl Input {
             Self::File(path) => session.open(path, inference),
             Self::Room { rooms, index } => {
                 let id = &rooms.scene_ids()[*index];
-                session.progress.say(format!("making {id}"));
+                session.progress.detail(format!("making {id}"));
                 let SourceScene { scene, report } = rooms.load(id)?;
                 session.receipt.add_rows_in(scene.len());
                 let path = PathBuf::from(id);

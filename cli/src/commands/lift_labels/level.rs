@@ -79,7 +79,7 @@ impl Args {
         let (scene, stated) = (&loaded.scene, loaded.stated_up);
         let up = self.lifting.up.unwrap_or_else(|| guess_up(scene, stated).direction);
         let path = folder.join("preview.png");
-        let settings = self.lifting.preview.settings(title, up);
+        let settings = self.lifting.preview.settings(title, session.doubts(), up);
         let bytes = write_scene_preview(scene, colors, &[], &settings, &path)?;
         session.wrote(&path, bytes);
         Ok(())

@@ -103,7 +103,7 @@ impl Args {
             let guard = self.decide(session, &mut lifter, number, level)?;
             self.write(session, opened, &mut lifter, number, level, guard)?;
         }
-        session.progress.say(session.receipt.plan_text(plan::LIFTING));
+        session.progress.detail(session.receipt.plan_text(plan::LIFTING));
         Ok(())
     }
 

@@ -12,8 +12,8 @@ use std::path::Path;
 /// Flags that are about all scenes, or change no result.
 const ABOUT_ALL: [&str; 4] = ["manifest", "shard", "again", "out"];
 /// Flags that change no result.
-const WITHOUT_EFFECT: [&str; 5] =
-    ["threads", "quiet", "warnings-as-errors", "log-format", "no-config"];
+const WITHOUT_EFFECT: [&str; 6] =
+    ["threads", "quiet", "verbose", "warnings-as-errors", "log-format", "no-config"];
 /// Flags that name one file for the results of one scene.
 const ONE_FILE: [(&str, &str); 2] = [("json", "figures"), ("receipt", "receipt")];
 

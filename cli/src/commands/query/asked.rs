@@ -6,7 +6,7 @@ use crate::commands::phrase::{ask_error, phrase_error, placed_refused, tell_deni
 use crate::error::refuse;
 use crate::session::Session;
 use anyhow::Result;
-use scenesplat::phrases::{Phrase, PhraseReader};
+use scenesplat::phrases::{AskError, Phrase, PhraseReader};
 use scenesplat::query::Query;
 use scenesplat::rooms::Vocabulary;
 use scenesplat::scene::TextTable;
@@ -14,23 +14,40 @@ use scenesplat::scene::label_set::nearest_names;
 use scenesplat::text::read_text_vector;
 use scenesplat::text_model::TextModel;
 
+/// What a phrase asks for.
+pub enum Meant {
+    /// What features tell.
+    Query(Query),
+    /// Things at a place, such as "lamp on the desk", which the objects of the scene tell.
+    Place,
+}
+
 /// What is asked for; says and notes how it was understood.
-pub fn query(args: &Args, session: &Session<'_>) -> Result<Query> {
+pub fn meant(args: &Args, session: &Session<'_>) -> Result<Meant> {
+    let classes = &args.classes;
+    let own = args.inference.network.is_embedded() && args.features.is_none();
+    let vocabulary = match (classes.vocabulary()?, &classes.text, &args.embedding) {
+        (Some(vocabulary), _, None) => Some(vocabulary),
+        (None, None, None) if own => Some(scenesplat::embedded::vocabulary()?),
+        _ => None,
+    };
+    match vocabulary {
+        Some(vocabulary) => of_phrase(args, session, &vocabulary),
+        None => query(args, session).map(Meant::Query),
+    }
+}
+
+/// What is asked for without the words of a vocabulary.
+fn query(args: &Args, session: &Session<'_>) -> Result<Query> {
     let classes = &args.classes;
     if args.embedding.is_some() && classes.text_model.is_some() {
         refuse!("--embedding is the vector of the query, so --text-model has nothing to read");
-    }
-    if let (Some(vocabulary), None) = (classes.vocabulary()?, &args.embedding) {
-        return of_phrase(args, session, &vocabulary);
     }
     // Of a list of names and of the phrase one model makes vectors; it is read once.
     let is_list = classes.is_list()?;
     let list = classes.text.as_deref().filter(|_| is_list);
     let model = list.and_then(|_| classes.model().transpose()).transpose()?;
     let table = match (&classes.text, &args.embedding) {
-        (None, None) if args.inference.network.is_embedded() && args.features.is_none() => {
-            return of_phrase(args, session, &scenesplat::embedded::vocabulary()?);
-        }
         (None, None) if classes.text_model.is_none() => {
             refuse!(
                 "give --text (embeddings with names, the query being one of them), --embedding (the query's own vector) \
@@ -107,7 +124,7 @@ fn read(args: &Args, session: &Session<'_>, model: &TextModel) -> Result<Vec<f32
 }
 
 /// Any phrase, in the words of a vocabulary.
-fn of_phrase(args: &Args, session: &Session<'_>, vocabulary: &Vocabulary) -> Result<Query> {
+fn of_phrase(args: &Args, session: &Session<'_>, vocabulary: &Vocabulary) -> Result<Meant> {
     // What the vocabulary knows needs no encoder.
     let is_known = Query::of_vocabulary(vocabulary, &args.query).is_ok();
     let encoder = match args.classes.model()? {
@@ -119,7 +136,10 @@ fn of_phrase(args: &Args, session: &Session<'_>, vocabulary: &Vocabulary) -> Res
         None => None,
     };
     let reader = PhraseReader::new(encoder.as_deref())?;
-    let asked = reader.ask(vocabulary, &args.query).map_err(ask_error)?;
+    let asked = match reader.ask(vocabulary, &args.query) {
+        Err(AskError::Placed { placed }) if placed.relation.is_some() => return Ok(Meant::Place),
+        asked => asked.map_err(ask_error)?,
+    };
     if let Some(known) = &asked.taken_for {
         if asked.denied.is_empty() {
             let by = if encoder.is_some() { "encoder" } else { "phrase table" };
@@ -128,7 +148,7 @@ fn of_phrase(args: &Args, session: &Session<'_>, vocabulary: &Vocabulary) -> Res
             tell_denied(session, &args.query, known, &asked.denied);
         }
     }
-    Ok(asked.query)
+    Ok(Meant::Query(asked.query))
 }
 
 /// All rows of a table but those that the phrase denies; `None` for a phrase that denies none.

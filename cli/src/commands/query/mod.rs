@@ -3,6 +3,7 @@
 mod args;
 mod asked;
 mod guess;
+mod place;
 mod write;
 
 use crate::budget::{Job, within_budget};
@@ -11,7 +12,7 @@ use crate::error::{WrongUse, refuse};
 use crate::session::{FeatureSource, Session};
 use anyhow::Result;
 pub use args::Args;
-pub use asked::query;
+pub use asked::{Meant, meant};
 use scenesplat::outputs::OpenedScene;
 use scenesplat::query::{Query, QuerySettings, Selection, select};
 use scenesplat::recognition::{KNOWN, LEAST_SHARE};
@@ -35,17 +36,17 @@ pub fn run(args: &Args, line: &str) -> Result<()> {
     session.outputs.reads_any([Some(args.scene.as_path()), args.embedding.as_deref()])?;
     let wish = args.effects.wish(&session, args.features.is_none(), true)?;
     args.classes.claim_inputs(&session.outputs)?;
-    let query = query(args, &session)?;
+    let meant = meant(args, &session)?;
     session.outputs.open_folder(&["scores.npy", "selection.npy", "query.ply", "preview.png"])?;
     args.classes.record(&session)?;
     if let Some(path) = &args.embedding {
         session.receipt.fingerprint("embedding", path)?;
     }
-    let found = find(args, &session, &query, &wish, vote_k)?;
+    let found = find(args, &session, &meant, &wish, vote_k)?;
     session.check_stop()?;
-    let Found { opened, source, selection } = &found;
+    let Found { opened, remark, selection } = &found;
     describe(&args.query, selection, &opened.loaded.scene.coord);
-    write(args, &session, opened, source, selection)?;
+    write(args, &session, opened, remark, selection)?;
     session.finish()
 }
 
@@ -53,8 +54,8 @@ pub fn run(args: &Args, line: &str) -> Result<()> {
 pub struct Found {
     /// The scene.
     pub opened: OpenedScene,
-    /// Where its features come from.
-    pub source: FeatureSource,
+    /// What to add to a title where the result means nothing.
+    pub remark: &'static str,
     /// The Gaussians that are meant.
     pub selection: Selection,
 }
@@ -63,10 +64,14 @@ pub struct Found {
 pub fn find(
     args: &Args,
     session: &Session<'_>,
-    query: &Query,
+    meant: &Meant,
     wish: &Wish,
     vote_k: usize,
 ) -> Result<Found> {
+    let query = match meant {
+        Meant::Query(query) => query,
+        Meant::Place => return place::find(args, session, vote_k),
+    };
     let (opened, source) = open(args, session, query)?;
     let scene = &opened.loaded.scene;
     let consumer = Consumer { network: source.is_network(), labels: true };
@@ -91,7 +96,7 @@ pub fn find(
         select(&features, query, &settings, &scene.coord)?
     };
     session.note_withheld(found.withhold(about.withheld()), "selected Gaussians");
-    Ok(Found { opened, source, selection: found })
+    Ok(Found { opened, remark: source.remark(), selection: found })
 }
 
 /// The scene and the source of its features, which fit the query.

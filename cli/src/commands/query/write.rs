@@ -1,7 +1,7 @@
 //! What `query` prints and writes.
 
 use super::Args;
-use crate::session::{FeatureSource, Session};
+use crate::session::Session;
 use crate::terminal::print;
 use anyhow::Result;
 use scenesplat::outputs::{OpenedScene, ResultColumns, write_colored_ply};
@@ -13,7 +13,7 @@ pub fn write(
     args: &Args,
     session: &Session<'_>,
     opened: &OpenedScene,
-    source: &FeatureSource,
+    remark: &str,
     found: &Selection,
 ) -> Result<()> {
     let scene = &opened.loaded.scene;
@@ -24,7 +24,8 @@ pub fn write(
         session.write_rows("scores.npy", opened, scores, 0.0)?;
         let bytes: Vec<u8> = selected.iter().map(|s| *s as u8).collect();
         session.write_rows("selection.npy", opened, &bytes, 0)?;
-        let columns = ResultColumns { label: Some(selected), score: Some(scores) };
+        let warnings = &session.doubts();
+        let columns = ResultColumns { label: Some(selected), score: Some(scores), warnings };
         session.write("query.ply", |path| write_colored_ply(opened, &colors, &columns, path))?;
         session.receipt.add_rows_out(opened.loaded.source_rows());
     }
@@ -35,7 +36,7 @@ pub fn write(
         LegendEntry { name: args.query.clone(), color: SELECTED_COLOR, count },
         LegendEntry { name: "everything else".to_owned(), color: OTHERS_COLOR, count: others },
     ];
-    let title = format!("\"{}\"{}", args.query, source.remark());
+    let title = format!("\"{}\"{}", args.query, remark);
     let up = session.up(opened, &args.inference);
     session.write_preview(scene, &colors, &entries, title, up, args.preview)
 }

@@ -21,7 +21,7 @@ use scenesplat::rasterizer::{
     DepthRequest, Gaussians, PlanRequest, Prepared, RasterSettings, RenderPlan, RenderRequest,
     SceneProfile,
 };
-use scenesplat::scene::{GaussianScene, LoadedScene, ReadOptions, guess_up};
+use scenesplat::scene::{Camera, GaussianScene, LoadedScene, ReadOptions, guess_up};
 use scenesplat_lab::capture::ScenePictures;
 use scenesplat_lab::compensation::render_section;
 
@@ -74,6 +74,10 @@ pub fn run(args: &Args, line: &str) -> Result<()> {
         session.warn(format!(
             "{lost} depths do not fit 16 bits and were written as 0; give a smaller --depth-scale"
         ));
+    }
+    if let [Shot { camera: Camera { width, height, .. }, .. }, ..] = &shots.list[..] {
+        session
+            .tell(format!("{} pictures, the first of {width} x {height} pixels", shots.list.len()));
     }
     session.finish()
 }
@@ -136,7 +140,7 @@ fn prepare(
         PlanArg::Auto => RenderPlan::auto(&profile, settings, request)?,
         PlanArg::Full => RenderPlan::full(&profile, settings, request)?,
     };
-    session.progress.say(plan.to_string());
+    session.progress.detail(plan.to_string());
     session.receipt.plan(gaussians.means.len(), render_section(&plan));
     let name = args.preset.to_possible_value();
     let name = name.as_ref().map_or("", |v| v.get_name());

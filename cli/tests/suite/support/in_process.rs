@@ -12,7 +12,7 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::{Mutex, MutexGuard, Once, PoisonError};
 
 /// Runs the program in this process, on as many threads as it is told to take. Pictures are small unless it says a
-/// size. A panic fails the test, also where the program makes an error of it.
+/// size, and what is done is printed step by step unless it says `--quiet` or, a word of these tests, `--brief`. A panic fails the test, also where the program makes an error of it.
 #[track_caller]
 pub fn scenesplat(args: &[&str]) -> Output {
     with_defaults(args, None)
@@ -25,7 +25,14 @@ pub fn with_defaults(args: &[&str], file: Option<&Path>) -> Output {
     let threads = given.and_then(|n| n.parse().ok()).filter(|n| (1..=8).contains(n)).unwrap_or(0);
     let draws = args.first().is_some_and(|command| WITH_PICTURE.contains(command));
     let small = draws && !args.iter().any(|arg| arg.starts_with("--preview-size"));
-    let words = ["scenesplat"].iter().chain(args).chain(small.then_some(&SMALL_PICTURE));
+    // What a command does step by step is what many tests are about; its first screen has tests of its own.
+    let is_plain = args.is_empty() || args[0].starts_with('-');
+    let brief = ["--quiet", "--brief"].iter().any(|flag| args.contains(flag));
+    let verbose = (!is_plain && !brief).then_some(&"--verbose");
+    let (command, rest) = args.split_at(usize::from(!args.is_empty()));
+    let rest = rest.iter().filter(|arg| **arg != "--brief");
+    let words = ["scenesplat"].iter().chain(command).chain(verbose).chain(rest);
+    let words = words.chain(small.then_some(&SMALL_PICTURE));
     let words = words.map(OsString::from);
     let (code, said) = without_panic(threads, || scenesplat_cli::run_captured(words, file));
     let status = i32::from(code);

@@ -9,7 +9,7 @@ use super::mip_filter::{FILTER, fuse};
 use super::output_names::output_names;
 use super::ply::{
     ANTIALIASED, ColumnSource, ColumnValues, Gather, PlyColumn, PlyElement, PlyFile, PlyNumbers,
-    Remarks, write_new_ply,
+    Remarks, warning_comment, write_new_ply,
 };
 use super::{LoadedScene, ReadOptions, SceneFormat, WriteOptions, WriteProgress, WriteReport};
 use crate::gaussian_scene::u8_to_dc;
@@ -287,14 +287,26 @@ pub fn write_inria_ply(
     extra: &[PlyColumn<'_>],
     path: &Path,
 ) -> Result<(), SceneError> {
+    write_inria_ply_with(scene, extra, &WriteOptions::default(), path)
+}
+
+/// As [`write_inria_ply`], with the comments that the options ask for.
+///
+/// # Errors
+/// As [`write_inria_ply`].
+pub fn write_inria_ply_with(
+    scene: &GaussianScene,
+    extra: &[PlyColumn<'_>],
+    options: &WriteOptions,
+    path: &Path,
+) -> Result<(), SceneError> {
     scene.check_rows()?;
     if scene.is_empty() {
         return Err(SceneError::format(path, "would hold no Gaussian at all", ""));
     }
     let file = AtomicFile::create(path)?;
-    let options = WriteOptions::default();
     let mut report = WriteReport::new(SceneFormat::Ply, scene.len());
-    write_columns(scene, extra, &file, &options, &mut report, &mut |_| true)?;
+    write_columns(scene, extra, &file, options, &mut report, &mut |_| true)?;
     Ok(file.commit()?)
 }
 
@@ -309,11 +321,12 @@ pub(super) fn write_ply(
     write_columns(scene, &[], file, options, report, progress)
 }
 
-/// The comments of a PLY file: how it was trained, and which way is up.
+/// The comments of a PLY file: how it was trained, which way is up, and warnings.
 pub(super) fn comments(scene: &GaussianScene, options: &WriteOptions) -> Vec<String> {
     let mark = scene.antialiased.then(|| ANTIALIASED.to_owned());
     let up = options.stated_up.map(|up| format!("Vertical axis: {up}"));
-    mark.into_iter().chain(up).collect()
+    let warnings = options.warnings.iter().map(|text| warning_comment(text));
+    mark.into_iter().chain(up).chain(warnings).collect()
 }
 
 /// Columns of unknown meaning as PLY has them, with their names; says what became of them.

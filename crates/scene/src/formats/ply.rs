@@ -21,7 +21,9 @@ pub use header::{PlyElement, PlyEncoding, PlyProperty, PlyPropertyKind, PlyType}
 pub use lists::PlyLists;
 pub(crate) use raw_rows::ByteRows;
 pub(crate) use writer::{ColumnSource, NewElement, write_new_ply};
-pub use writer::{ColumnValues, PlyColumn, free_column_name, write_ply_with_columns};
+pub use writer::{
+    ColumnValues, PlyColumn, free_column_name, warning_comment, write_ply_with_columns,
+};
 
 use super::memory;
 use crate::input_file::{InputFile, filled};

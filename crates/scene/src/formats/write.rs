@@ -28,6 +28,8 @@ pub struct WriteOptions {
     /// The way up in the scene, where the file it came from says so itself; formats with comments say it
     /// again.
     pub stated_up: Option<Up>,
+    /// What a reader must know of the values; formats with comments say it.
+    pub warnings: Vec<String>,
 }
 
 impl Default for WriteOptions {
@@ -38,6 +40,7 @@ impl Default for WriteOptions {
             lod_levels: 4,
             overwrite: false,
             stated_up: None,
+            warnings: Vec::new(),
         }
     }
 }

@@ -243,7 +243,7 @@ fn columns_added_to_the_vertices_are_still_read() {
         PlyColumn { name: "label", values: ColumnValues::I32(&label) },
         PlyColumn { name: "instance", values: ColumnValues::I32(&label) },
     ];
-    write_ply_with_columns(&source, &[], &columns, &out).unwrap();
+    write_ply_with_columns(&source, &[], &columns, &[], &out).unwrap();
     let mut back = open(&out).scene;
     assert_eq!((back.segment.take(), back.instance.take()), (Some(label.clone()), Some(label)));
     assert_eq!(back, open(&path).scene);

@@ -79,7 +79,7 @@ fn a_copy_of_any_encoding_is_the_little_endian_file_with_columns() {
         let source = parse(&bytes).unwrap();
         let out = dir.path().join("out.ply");
         // Without changes the copy is, byte for byte, what the little-endian file is.
-        write_ply_with_columns(&source, &[], &[], &out).unwrap();
+        write_ply_with_columns(&source, &[], &[], &[], &out).unwrap();
         let renamed = [
             ("uint8 flag", "uchar flag"),
             ("int8 a", "char a"),
@@ -101,7 +101,7 @@ fn a_copy_of_any_encoding_is_the_little_endian_file_with_columns() {
             PlyColumn { name: "score", values: ColumnValues::F32(&score) },
             PlyColumn { name: "shade", values: ColumnValues::U8(&[1, 2, 3]) },
         ];
-        write_ply_with_columns(&source, &replace, &append, &out).unwrap();
+        write_ply_with_columns(&source, &replace, &append, &[], &out).unwrap();
         let copy = PlyFile::open(&out).unwrap();
         assert_eq!(copy.column_i64("vertex", "label").unwrap(), label.map(i64::from));
         assert!(copy.column_f32("vertex", "score").unwrap()[1].is_nan());
@@ -115,6 +115,29 @@ fn a_copy_of_any_encoding_is_the_little_endian_file_with_columns() {
         assert_eq!(copy.comments().collect::<Vec<_>>(), source.comments().collect::<Vec<_>>());
         assert_eq!(copy.elements()[3], source.elements()[3]);
     }
+}
+
+#[test]
+fn warnings_are_comments_and_those_of_an_earlier_copy_go() {
+    let dir = tempfile::tempdir().unwrap();
+    let bytes = mixed(Encoding::Ascii);
+    let source = parse(&bytes).unwrap();
+    let own: Vec<String> = source.comments().collect();
+    let copy = |source: &PlyFile, warnings: &[&str], name: &str| {
+        let out = dir.path().join(name);
+        let warnings: Vec<String> = warnings.iter().map(|text| (*text).to_owned()).collect();
+        write_ply_with_columns(source, &[], &[], &warnings, &out).unwrap();
+        PlyFile::open(&out).unwrap()
+    };
+    let comments = |file: &PlyFile| file.comments().collect::<Vec<_>>();
+    // A line break would end the header's line.
+    let first = copy(&source, &["up is unclear", "a\nelement face 9"], "first.ply");
+    let warned = ["up is unclear", "a element face 9"].map(|t| format!("scenesplat warning: {t}"));
+    assert_eq!(comments(&first), [&warned[..], &own].concat());
+    assert_eq!(first.elements(), source.elements());
+    let second = copy(&first, &["seeded"], "second.ply");
+    assert_eq!(comments(&second), [&["scenesplat warning: seeded".to_owned()][..], &own].concat());
+    assert_eq!(comments(&copy(&second, &[], "third.ply")), own);
 }
 
 #[test]
@@ -133,7 +156,7 @@ fn a_large_binary_file_is_copied_bit_for_bit() {
     // Onto itself: the file is replaced only when the copy is complete.
     let label: Vec<i32> = (0..20_001).collect();
     let append = [PlyColumn { name: "label", values: ColumnValues::I32(&label) }];
-    write_ply_with_columns(&source, &[], &append, &path).unwrap();
+    write_ply_with_columns(&source, &[], &append, &[], &path).unwrap();
     let out = std::fs::read(&path).unwrap();
     let (old, new) = (&bytes[body_start(&bytes)..], &out[body_start(&out)..]);
     assert_eq!(old.len() / 20 * 24, new.len());
@@ -163,11 +186,11 @@ fn wrong_columns_are_refused_and_nothing_is_left_behind() {
     ];
     for (message, replace, append) in cases {
         let error =
-            write_ply_with_columns(&source, &replace, &append, &out).unwrap_err().to_string();
+            write_ply_with_columns(&source, &replace, &append, &[], &out).unwrap_err().to_string();
         assert!(error.contains(message), "{error}");
     }
     let nowhere = dir.path().join("no/such/folder/out.ply");
-    assert!(write_ply_with_columns(&source, &[], &[], &nowhere).is_err());
+    assert!(write_ply_with_columns(&source, &[], &[], &[], &nowhere).is_err());
     assert_eq!(std::fs::read_dir(dir.path()).unwrap().count(), 1);
 
     assert_eq!(free_column_name(&source, "label"), "label");
@@ -277,7 +300,7 @@ fn wrong_counts_are_errors() {
     ] {
         let file = parse(text.as_bytes()).unwrap();
         let out = dir.path().join("out.ply");
-        assert!(write_ply_with_columns(&file, &[], &[], &out).is_err(), "there is no vertex");
+        assert!(write_ply_with_columns(&file, &[], &[], &[], &out).is_err(), "there is no vertex");
         let text = text.replace("nothing", "vertex");
         assert!(read(text.as_bytes()).is_err());
         let file = parse(text.as_bytes()).unwrap();

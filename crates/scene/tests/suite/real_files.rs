@@ -63,7 +63,7 @@ fn results_can_be_added_to_files_of_both_kinds() {
         let source = PlyFile::open(&loaded.path).unwrap();
         let label: Vec<i32> = (0..loaded.source_rows() as i32).collect();
         let column = [PlyColumn { name: "label", values: ColumnValues::I32(&label) }];
-        write_ply_with_columns(&source, &[], &column, &out).unwrap();
+        write_ply_with_columns(&source, &[], &column, &[], &out).unwrap();
         let mut copy = open_scene(&out, &ReadOptions::default()).unwrap();
         assert_eq!(copy.kind, loaded.kind);
         assert_eq!(copy.scene.segment.take(), Some(label));

@@ -93,8 +93,8 @@ pub fn free_column_name(file: &PlyFile, wanted: &str) -> String {
 /// Copies a PLY file with columns of its vertices replaced or added.
 ///
 /// Every element, property, comment and value of the source is kept, vertex for vertex and bit for
-/// bit, but for the columns in `replace`. The columns in `append` follow the properties of the
-/// vertices. The copy is `binary_little_endian` whatever the source is, and streamed: memory does
+/// bit, but for the columns in `replace` and the warnings of an earlier copy ([`warning_comment`]).
+/// The columns in `append` follow the properties of the vertices, and `warnings` are comments. The copy is `binary_little_endian` whatever the source is, and streamed: memory does
 /// not grow with the file. `out` may be the source itself: it is replaced when the copy is complete.
 ///
 /// # Errors
@@ -105,6 +105,7 @@ pub fn write_ply_with_columns(
     source: &PlyFile,
     replace: &[PlyColumn<'_>],
     append: &[PlyColumn<'_>],
+    warnings: &[String],
     out: &Path,
 ) -> Result<(), SceneError> {
     let bad = |problem: String, help: &str| SceneError::format(&source.path, problem, help);
@@ -125,7 +126,7 @@ pub fn write_ply_with_columns(
     let file = AtomicFile::create(out)?;
     let mut to = BufWriter::with_capacity(1 << 20, file.file());
     let write_failed = || SceneError::io(file.target(), "cannot write the file");
-    to.write_all(&copied_header(source, index, append)).map_err(write_failed())?;
+    to.write_all(&copied_header(source, index, append, warnings)).map_err(write_failed())?;
     for (i, layout) in source.layouts.iter().enumerate() {
         let bytes = &source.bytes()[layout.start..layout.end];
         if i == index {
@@ -187,8 +188,23 @@ fn replacements<'a>(
     Ok(replaced)
 }
 
-/// The header of the source with another encoding and further properties.
-fn copied_header(source: &PlyFile, index: usize, append: &[PlyColumn<'_>]) -> Vec<u8> {
+/// What the comments that hold warnings begin with.
+const WARNING: &str = "scenesplat warning: ";
+
+/// What a reader of the file must know of the values in it, as a comment of a PLY file: one line, without the word
+/// `comment`.
+pub fn warning_comment(text: &str) -> String {
+    let line = text.chars().map(|c| if c.is_control() { ' ' } else { c });
+    WARNING.chars().chain(line).collect()
+}
+
+/// The header of the source with another encoding, further properties and these warnings alone.
+fn copied_header(
+    source: &PlyFile,
+    index: usize,
+    append: &[PlyColumn<'_>],
+    warnings: &[String],
+) -> Vec<u8> {
     let header = &source.header;
     let mut out = b"ply\n".to_vec();
     let mut line = |text: &[u8]| {
@@ -201,7 +217,12 @@ fn copied_header(source: &PlyFile, index: usize, append: &[PlyColumn<'_>]) -> Ve
         append.iter().map(|c| format!("property {} {}", c.values.ty().name(), c.name)).collect();
     for about in &header.lines {
         match about {
-            HeaderLine::Format => line(b"format binary_little_endian 1.0"),
+            HeaderLine::Format => {
+                line(b"format binary_little_endian 1.0");
+                let comments = warnings.iter().map(|text| warning_comment(text));
+                comments.for_each(|text| line(format!("comment {text}").as_bytes()));
+            }
+            HeaderLine::Remark(text) if is_warning(text) => {}
             HeaderLine::Remark(text) => line(text),
             HeaderLine::Element(i) => {
                 let element = &header.elements[*i];
@@ -229,6 +250,11 @@ fn copied_header(source: &PlyFile, index: usize, append: &[PlyColumn<'_>]) -> Ve
     }
     line(b"end_header");
     out
+}
+
+/// Whether a line of a header is a warning of an earlier copy.
+fn is_warning(line: &[u8]) -> bool {
+    line.strip_prefix(b"comment ").is_some_and(|text| text.starts_with(WARNING.as_bytes()))
 }
 
 fn check_new_columns(
