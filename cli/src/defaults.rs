@@ -246,6 +246,8 @@ impl<'c> Line<'c> {
                     // Its value is no command.
                     words.next();
                 }
+            } else if word == "-v" {
+                line.given.push("verbose".to_owned());
             } else if may_be_command && !word.starts_with('-') {
                 match shown(line.command, &word) {
                     Some(inner) => {
@@ -276,7 +278,14 @@ impl<'c> Line<'c> {
                     .iter()
                     .any(|found| found.get_id() == other.get_id())
         };
+        // These two exclude each other, though one is of every command and the other of the whole program.
+        let opposite = match arg.get_long() {
+            Some("quiet") => "verbose",
+            Some("verbose") => "quiet",
+            _ => "",
+        };
         is_given(arg)
+            || self.given.iter().any(|given| given == opposite)
             || self
                 .command
                 .get_arguments()

@@ -156,6 +156,9 @@ try {
     await settled(page);
     await shot(page, "hostile");
     assert.equal(await page.evaluate(() => globalThis.attacked), undefined);
+    // Warnings are seen without a click, as text.
+    const warned = await page.$eval("#warnings", (e) => ({ text: e.textContent, height: e.getBoundingClientRect().height, inside: e.querySelector("img, script") }));
+    assert.ok(warned.text.startsWith("up is unclear ") && warned.height > 10 && warned.inside === null, JSON.stringify(warned));
     const names = await page.$$eval("#classes .name", (all) => all.map((e) => e.textContent));
     assert.ok(names.some((n) => n.includes("</script>")), names.join(" | ").slice(0, 300));
     assert.ok(names.some((n) => n.includes("🪑")));
@@ -181,6 +184,7 @@ try {
     await settled(page);
     assert.ok((await pixels(page, [])).drawn > 0.1, "plain is blank");
     assert.equal(await page.$$eval("#modes button", (all) => all.length), 1);
+    assert.equal(await page.$eval("#warnings", (e) => e.getBoundingClientRect().height), 0);
     assert.deepEqual(bad, []);
     await page.close();
   }

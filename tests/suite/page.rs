@@ -161,6 +161,7 @@ fn names_of_any_kind_are_text() {
         labels: Some(labels),
         names: &names,
         catalogue: Some(&catalogue),
+        warnings: &[format!("up is unclear {attack}")],
         remarks: &[
             attack.to_owned(),
             "]]>--></pre><script>globalThis.attacked=1</script>".to_owned(),

@@ -3,7 +3,7 @@
 use crate::receipt::thousands;
 use crate::session::Session;
 use scenesplat::outputs::legend;
-use scenesplat::scene::{printable, printable_text};
+use scenesplat::scene::printable;
 use std::path::Path;
 
 /// Classes that are named; of more it says how many.
@@ -26,7 +26,7 @@ pub fn labels(name: &str, labels: &[i32], names: &[String]) -> String {
     }
     format!(
         "{}: {} of {} Gaussians labeled, {} classes{}{shown}",
-        printable_text(name),
+        printable(name),
         thousands(labelled as u64),
         thousands(labels.len() as u64),
         classes.len(),
@@ -61,7 +61,7 @@ pub fn next(scene: &Path, lines: &[&str]) -> String {
 
 /// A name that does not fill the line.
 pub fn short(name: &str) -> String {
-    let name = printable_text(name);
+    let name = printable(name);
     match name.char_indices().nth(LONGEST_NAME) {
         Some((end, _)) => format!("{}…", &name[..end]),
         None => name.into_owned(),

@@ -60,12 +60,15 @@ fn a_file_gives_what_the_command_line_does_not() {
     refused(&by(&file, "inspect x"), 2, &["[features]: half: no such flag; nearest: halo"]);
     let file = folder.write("scenesplat.toml", text(&file).replace("half = 1", "halo = 40"));
     let out = folder.at("out");
-    let line = format!("segment {room} --out {out} --preview-size 64");
+    let line = format!("segment {room} --out {out} --preview-size 64 --brief");
     let said = told(&by(&file, &line));
     let first = said.lines().next().unwrap();
     let mut found: Vec<&str> = first.split(' ').filter(|word| word.starts_with("--")).collect();
     found.sort_unstable();
     assert_eq!(found, ["--quiet", "--threads=2", "--vote-k=0", "--without=ceiling,floor"]);
+    // What the command line excludes is not taken.
+    let said = told(&by(&file, &line.replace("--brief", "-v")));
+    assert!(!said.lines().next().unwrap().contains("--quiet"), "{said}");
     let receipt = json(folder.path("out/receipt.json"));
     assert_eq!(setting(&receipt, "vote_k").as_deref(), Some("0"));
     let defaults = receipt["defaults"].as_array().unwrap();

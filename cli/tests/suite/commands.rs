@@ -274,7 +274,7 @@ fn tiles_and_the_exact_mode_agree_with_the_plain_run_where_they_should() {
     // Memory is that of the process.
     let run = |out: &str, more: &str| {
         let at = case.folder.at(out);
-        let line = format!("features {} {TINY} --out {at} {more}", case.room);
+        let line = format!("features {} {TINY} --out {at} --verbose {more}", case.room);
         let said = told(&process(&words(&line)));
         (floats(case.out(out).join("features.npy")), said)
     };

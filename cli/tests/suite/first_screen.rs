@@ -14,10 +14,10 @@ fn the_answer_comes_first_and_is_short() {
     let cases = [
         (format!("segment {room} {own}"), "room.ply: 16 000 of 16 000 Gaussians labeled"),
         (format!("query {room} chair {own}"), "\"chair\": "),
-        (format!("features {room} {TINY}"), "room.ply: 16 000 rows of 32 values in features.npy"),
+        (format!("features {room} {TINY}"), "room.ply: 16 000 rows of 64 values in features.npy"),
         (format!("objects {room} --label-names {names}"), "   "),
         (format!("inspect {room}"), "16 000 (ply) Gaussians, "),
-        (format!("evaluate {room} {own}"), "mIoU"),
+        (format!("evaluate {room}"), "mIoU"),
         (
             format!("render {room} --orbit 2 --size 64x48"),
             "2 pictures, the first of 64 x 48 pixels",

@@ -35,7 +35,10 @@ fn objects_are_listed_drawn_exported_and_taken_out() {
     let count = |id: i32| ids.iter().filter(|i| **i == id).count();
     let large = (0..=*ids.iter().max().unwrap()).filter(|id| count(*id) >= 20).count();
     assert_eq!(all.len(), large);
-    has(&said, &[&format!("{large} objects: "), "\"wall\": "]);
+    has(
+        &said,
+        &[&format!("{large} objects (the instances that the scene carries): "), "\"wall\": "],
+    );
     for object in all {
         for field in ["class", "count", "box", "position"] {
             assert!(!object[field].is_null(), "{field}: {object}");
@@ -94,7 +97,7 @@ fn objects_are_listed_drawn_exported_and_taken_out() {
     done(&run("--keep floor --pieces"));
     assert!(read(out("edited.ply")).segment.unwrap().iter().all(|l| *l == 1));
     for (more, part) in [
-        ("--remove spaceship", "no object can be a \"spaceship\"; there are: wall"),
+        ("--remove spaceship", "nothing in this vocabulary is like \"spaceship\""),
         ("--export ../parts", "one plain name"),
         ("--remove wall --keep floor", "cannot be used with"),
         ("--weights seeded:0", "leave out --weights"),
@@ -211,7 +214,7 @@ fn segment_and_objects_find_the_same() {
     let found = json(folder.path("one/objects.json"));
     assert_eq!(
         (&found["labels_from"], &found["instances_from"]),
-        (&"network".into(), &"labels".into())
+        (&"network".into(), &"scene".into())
     );
     has(&found["warnings"].to_string(), &["SEEDED WEIGHTS (0)"]);
     let head = bytes(folder.path("one/segmented.ply"));

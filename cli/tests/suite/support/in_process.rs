@@ -27,7 +27,7 @@ pub fn with_defaults(args: &[&str], file: Option<&Path>) -> Output {
     let small = draws && !args.iter().any(|arg| arg.starts_with("--preview-size"));
     // What a command does step by step is what many tests are about; its first screen has tests of its own.
     let is_plain = args.is_empty() || args[0].starts_with('-');
-    let brief = ["--quiet", "--brief"].iter().any(|flag| args.contains(flag));
+    let brief = ["--quiet", "--brief", "-v"].iter().any(|flag| args.contains(flag));
     let verbose = (!is_plain && !brief).then_some(&"--verbose");
     let (command, rest) = args.split_at(usize::from(!args.is_empty()));
     let rest = rest.iter().filter(|arg| **arg != "--brief");

@@ -55,7 +55,8 @@ pub fn interrupted(line: &str, begun: &str) {
     use std::process::Stdio;
     let folder = Folder::new();
     let mut command = program();
-    let command = command.args(words(line)).args(["--json", &folder.at("report.json")]);
+    let command =
+        command.args(words(line)).args(["--verbose", "--json", &folder.at("report.json")]);
     let command = command.env("TMPDIR", folder.root()).stderr(Stdio::piped());
     let mut child = command.stdout(Stdio::null()).spawn().unwrap();
     let mut said = BufReader::new(child.stderr.take().unwrap());
