@@ -211,6 +211,7 @@ mod tests {
             "left_over": 3,
             "small_instances": 7,
             "nameless_instances": 8,
+            "instances_from": "scene",
             "floor": { "height": -0.25, "labelled": false, "given": true },
             "objects": [{
                 "id": 5,

@@ -133,10 +133,12 @@ fn warnings_are_comments_and_those_of_an_earlier_copy_go() {
     // A line break would end the header's line.
     let first = copy(&source, &["up is unclear", "a\nelement face 9"], "first.ply");
     let warned = ["up is unclear", "a element face 9"].map(|t| format!("scenesplat warning: {t}"));
-    assert_eq!(comments(&first), [&warned[..], &own].concat());
+    // They follow the line of the format, which a comment of the source stands before.
+    assert_eq!(comments(&first), [&own[..1], &warned, &own[1..]].concat());
     assert_eq!(first.elements(), source.elements());
     let second = copy(&first, &["seeded"], "second.ply");
-    assert_eq!(comments(&second), [&["scenesplat warning: seeded".to_owned()][..], &own].concat());
+    let warned = ["scenesplat warning: seeded".to_owned()];
+    assert_eq!(comments(&second), [&own[..1], &warned, &own[1..]].concat());
     assert_eq!(comments(&copy(&second, &[], "third.ply")), own);
 }
 

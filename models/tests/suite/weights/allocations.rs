@@ -1,7 +1,9 @@
 //! The largest piece of memory that a thread asked for.
 
 use std::alloc::{GlobalAlloc, Layout, System};
+use std::backtrace::Backtrace;
 use std::cell::Cell;
+use std::sync::Once;
 
 thread_local! {
     static LARGEST: Cell<usize> = const { Cell::new(0) };
@@ -42,6 +44,9 @@ static WATCH: Watch = Watch;
 
 /// What `f` gives, and the largest piece of memory it asked for on this thread, in bytes.
 pub fn largest<R>(f: impl FnOnce() -> R) -> (R, usize) {
+    // With RUST_BACKTRACE=1 the first error that has a backtrace reads the tables of the program, on its own thread.
+    static READ: Once = Once::new();
+    READ.call_once(|| drop(Backtrace::capture().to_string()));
     LARGEST.with(|l| l.set(0));
     let result = f();
     (result, LARGEST.with(Cell::get))
