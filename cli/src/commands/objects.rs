@@ -91,13 +91,12 @@ pub fn run(args: &Args, line: &str) -> Result<()> {
     let found = labelled.objects(&session, &labels.settings(), labels.pieces, frame)?;
     session.check_stop()?;
     let is_quiet = args.shared.running.quiet;
-    match (is_quiet, log::is_verbose()) {
-        (true, _) => {}
-        (false, true) => print(&table::markdown(&found)),
-        (false, false) => largest(&found).iter().for_each(|line| print(line)),
-    }
     if !is_quiet {
         print(&summary(&found));
+        match log::is_verbose() {
+            true => print(&table::markdown(&found)),
+            false => largest(&found).iter().for_each(|line| print(line)),
+        }
         certainty(&session).iter().for_each(|text| session.tell(text));
     }
     let asking = Asking { session: &session, found: &found, labels: &labelled.names };

@@ -15,7 +15,10 @@ fn the_answer_comes_first_and_is_short() {
         (format!("segment {room} {own}"), "room.ply: 16 000 of 16 000 Gaussians labeled"),
         (format!("query {room} chair {own}"), "\"chair\": "),
         (format!("features {room} {TINY}"), "room.ply: 16 000 rows of 64 values in features.npy"),
-        (format!("objects {room} --label-names {names}"), "   "),
+        (
+            format!("objects {room} --label-names {names}"),
+            " objects (the instances that the scene carries): ",
+        ),
         (format!("inspect {room}"), "16 000 (ply) Gaussians, "),
         (format!("evaluate {room}"), "mIoU"),
         (
