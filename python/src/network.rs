@@ -6,7 +6,6 @@ use crate::scene::Scene;
 use crate::work::run;
 use pyo3::prelude::*;
 use scenesplat::Network;
-use scenesplat::objects::table as object_table;
 use scenesplat::outputs::OpenedScene;
 use scenesplat_cli::called::{self, Call, Failure, Labelled};
 use std::ffi::OsString;
@@ -182,10 +181,9 @@ pub fn objects<'py>(
 ) -> PyResult<(LabelParts<'py>, Bound<'py, PyAny>, String)> {
     let py = scene.py();
     let asked = Asked::new(network, flags);
-    let (labelled, found) = asked.run_on(scene, progress, called::objects)?;
-    let table = object_table::json(&found).to_string();
+    let (labelled, found, table) = asked.run_on(scene, progress, called::objects)?;
     let instances = column(py, found.instances()).into_any();
-    Ok((label_parts(py, labelled), instances, table))
+    Ok((label_parts(py, labelled), instances, table.to_string()))
 }
 
 /// Rotation, meters per unit, and the whole report as JSON.

@@ -101,7 +101,7 @@ def test_a_scene_of_arrays_is_labelled_as_its_file(room, network):
 
 
 def test_inspect_align_and_evaluate(demo, room, network, tmp_path):
-    done = program("inspect", demo / "room.ply", "--no-sheet", "--json", tmp_path / "i.json")
+    done = program("inspect", demo / "room.ply", "--no-sheet", "--verbose", "--json", tmp_path / "i.json")
     assert done.returncode == 0, done.stderr
     seen = scenesplat.inspect(room)
     file = json.loads((tmp_path / "i.json").read_text())

@@ -14,7 +14,8 @@ pub use failure::{Failure, FailureKind};
 
 use crate::caller::called_by;
 use crate::commands::{
-    evaluate as evaluation, features as encoding, inspect as inspection, query as asking,
+    evaluate as evaluation, features as encoding, inspect as inspection, objects as listing,
+    query as asking,
 };
 use crate::effects::EffectArgs;
 use crate::flags::{Inference, Shared};
@@ -171,11 +172,14 @@ pub fn query(call: Call<'_>, phrase: &str, scene: OpenedScene) -> Result<Selecti
     })
 }
 
-/// The objects of a scene with the labels that make them, as `scenesplat objects` writes them.
+/// The objects of a scene with the labels that make them, and what `scenesplat objects` writes of them as JSON.
 ///
 /// # Errors
 /// As that command has them.
-pub fn objects(call: Call<'_>, scene: OpenedScene) -> Result<(Labelled, Catalogue), Failure> {
+pub fn objects(
+    call: Call<'_>,
+    scene: OpenedScene,
+) -> Result<(Labelled, Catalogue, serde_json::Value), Failure> {
     let caller = Arc::clone(&call.caller);
     alone(caller, || {
         let words = after_flags(call.flags, [scene.loaded.path.clone().into_os_string()]);
@@ -189,7 +193,8 @@ pub fn objects(call: Call<'_>, scene: OpenedScene) -> Result<(Labelled, Catalogu
         let frame = frame(&session, &labelled.opened, inference);
         let found = labelled.objects(&session, &labels.settings(), labels.pieces, frame)?;
         session.check_stop()?;
-        Ok((labelled, found))
+        let table = listing::json(&session, &labelled, &found);
+        Ok((labelled, found, table))
     })
 }
 

@@ -24,7 +24,7 @@ mod man;
 mod many;
 mod meant;
 mod merge;
-mod objects;
+pub(crate) mod objects;
 mod optimise;
 mod overview;
 mod pareto;

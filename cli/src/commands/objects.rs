@@ -105,7 +105,8 @@ pub fn run(args: &Args, line: &str) -> Result<()> {
     }
     write_objects(&session, &labelled, &found)?;
     if let Some(path) = &args.json {
-        session.write_file(path, &json(&session, &labelled, &found)?)?;
+        session
+            .write_file(path, &serde_json::to_string_pretty(&json(&session, &labelled, &found))?)?;
     }
     {
         let _stage = session.receipt.stage("picture");
@@ -194,7 +195,7 @@ pub fn left_out(found: &Catalogue) -> String {
 /// Writes `OBJECT_FILES` into the output folder.
 pub fn write_objects(session: &Session<'_>, labelled: &Labelled, found: &Catalogue) -> Result<()> {
     session.write_rows("instances.npy", &labelled.opened, &found.instances(), -1)?;
-    let json = json(session, labelled, found)?;
+    let json = serde_json::to_string_pretty(&json(session, labelled, found))?;
     for (name, text) in [("objects.json", json), ("objects.csv", table::csv(found))] {
         session.write_text(name, &text)?;
     }
@@ -202,11 +203,11 @@ pub fn write_objects(session: &Session<'_>, labelled: &Labelled, found: &Catalog
 }
 
 /// The objects, where their labels and pieces come from, and what makes them doubtful.
-fn json(session: &Session<'_>, labelled: &Labelled, found: &Catalogue) -> Result<String> {
+pub fn json(session: &Session<'_>, labelled: &Labelled, found: &Catalogue) -> serde_json::Value {
     let mut json = table::json(found);
     json["labels_from"] = labelled.origin.name().into();
     json["warnings"] = session.doubts().into();
-    Ok(serde_json::to_string_pretty(&json)?)
+    json
 }
 
 fn parse_cell(text: &str) -> Result<f64, String> {
