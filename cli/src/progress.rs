@@ -93,7 +93,7 @@ impl Progress {
 
     /// Says one line of what is done step by step, if that was asked for.
     pub fn detail(&self, text: impl AsRef<str>) {
-        if log::is_verbose() || log::is_json() || caller().is_some() {
+        if self.each_step || caller().is_some() {
             self.say(text);
         }
     }

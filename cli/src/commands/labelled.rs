@@ -69,7 +69,7 @@ pub struct LabelArgs {
     #[arg(long)]
     pub pieces: bool,
     /// Fewest Gaussians of an object.
-    #[arg(long, value_name = "N", default_value_t = 20)]
+    #[arg(long, value_name = "N", default_value_t = MIN_COUNT)]
     pub min_count: usize,
     /// Gaussians of a class this near to each other, meters, belong together; by default 2.5 spacings of the class.
     #[arg(long, value_name = "M", value_parser = crate::flags::parse_positive)]
@@ -78,6 +78,9 @@ pub struct LabelArgs {
     #[command(flatten)]
     pub labelling: Labelling,
 }
+
+/// Fewest Gaussians of an object.
+pub const MIN_COUNT: usize = 20;
 
 /// A smaller share of a scene that stays unknown is only counted.
 const WORTH_A_WARNING: f64 = 0.02;

@@ -1,7 +1,7 @@
 //! Things that are asked for by their place: the objects of the scene tell, as they do for `objects --find`.
 
 use super::{Args, Found};
-use crate::commands::labelled::{LabelArgs, Labelling};
+use crate::commands::labelled::{LabelArgs, Labelling, MIN_COUNT};
 use crate::commands::meant::Asking;
 use crate::frame::frame;
 use crate::label_ids::LabelIdArgs;
@@ -9,9 +9,6 @@ use crate::session::Session;
 use crate::surfaces::SurfaceArgs;
 use anyhow::Result;
 use scenesplat::query::Selection;
-
-/// Fewest Gaussians of an object, as of `objects`.
-const MIN_COUNT: usize = 20;
 
 /// The Gaussians of the objects that a phrase such as "lamp on the desk" means; their scores are those of their labels.
 pub fn find(args: &Args, session: &Session<'_>, vote_k: usize) -> Result<Found> {
