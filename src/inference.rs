@@ -615,6 +615,15 @@ impl SceneFeatures {
     pub fn gaussian_rows(&self, rows: Range<usize>) -> Result<Vec<f32>, EncodeError> {
         self.slots.gather(&self.inverse[rows])
     }
+
+    /// Rows of some Gaussians as a tensor of the CPU, f32, without a gradient. `[rows.len(), width]`
+    ///
+    /// # Errors
+    /// As [`gaussian_rows`](Self::gaussian_rows).
+    pub fn tensor(&self, rows: Range<usize>) -> Result<Tensor, EncodeError> {
+        let shape = (rows.len(), self.width());
+        Ok(Tensor::from_vec(self.gaussian_rows(rows)?, shape, &Device::Cpu)?)
+    }
 }
 
 /// A file that is removed when dropped. Rows are read from several threads, and a position is

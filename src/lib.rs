@@ -96,18 +96,26 @@ pub use setting::{Setting, SettingError};
 
 /// The types that nearly every program needs.
 pub mod prelude {
-    pub use crate::datasets;
+    pub use crate::datasets::{
+        self, DataError, DataSource, SceneDataset, SceneLoader, SourceScene, build_transforms,
+        transforms,
+    };
     #[cfg(not(target_family = "wasm"))]
-    pub use crate::losses::{Loss, LossInput, Objective};
+    pub use crate::losses::{self, CrossEntropy, Loss, LossInput, Objective};
+    pub use crate::metrics::Measurement;
+    #[cfg(not(target_family = "wasm"))]
+    pub use crate::models::ops::{DepthChannel, GaussianTensors, rasterize};
     pub use crate::models::{Backbone, Forward, ModelConfig, ParamStore, PointTransformerV3Config};
-    pub use crate::scene::{GaussianScene, ReadOptions, open_scene};
+    pub use crate::rasterizer::{Gaussians, RasterSettings, View};
+    pub use crate::scene::{GaussianScene, LookAt, ReadOptions, RepairReport, Up, open_scene};
     pub use crate::text::read_text_table;
     #[cfg(not(target_family = "wasm"))]
     pub use crate::trainers::{
-        Callback, DataModule, Evaluator, Event, Flow, Progress, TrainError, Trainer, TrainerConfig,
-        TrainingModule,
+        self, AdamW, Callback, DataModule, Evaluator, Event, Flow, OneCycle, Progress, TrainError,
+        Trainer, TrainerConfig, TrainingModule, group_by_keyword, tasks,
     };
     pub use crate::{
         Network, NetworkConfig, NetworkOutput, SceneEncoder, SceneFeatures, WeightOptions, Weights,
     };
+    pub use candle_core::{Device, Tensor, Var};
 }

@@ -3,7 +3,7 @@
 use crate::preview::{
     BACKGROUND, INK, Orbit, SceneRows, UNLABELLED_COLOR, class_color, fill, picture_of, text,
 };
-use scenesplat_objects::{Catalogue, is_kind};
+use scenesplat_objects::{Catalogue, is_building};
 use scenesplat_rasterizer::{Gaussians, RasterError, RasterSettings, RenderRequest, View, render};
 use scenesplat_scene::gaussian_scene::SH_C0;
 use scenesplat_scene::picture::RgbPicture;
@@ -33,9 +33,6 @@ const EDGES: [(usize, usize); 12] = [
     (2, 6),
     (3, 7),
 ];
-/// Parts of the building, whose boxes would hide all others.
-const BUILDING: [&str; 3] = ["wall", "floor", "ceiling"];
-
 /// Draws a scene from above one of its corners, without its ceiling and near walls, each object in a color of its own,
 /// with the numbers of the catalogue and a list of them. Walls, floors and ceilings have no box.
 ///
@@ -58,6 +55,7 @@ pub fn object_picture(
         .collect();
     let shapes = SceneRows::of(scene);
     let orbit = Orbit::around(&shapes.rows(scene, &colors), up, 1, VIEW);
+    // Boxes of the building would hide all others.
     let listed: Vec<usize> = (0..catalogue.objects.len())
         .filter(|&i| !is_building(&catalogue.objects[i].class))
         .collect();
@@ -145,10 +143,6 @@ fn badge(picture: &mut RgbPicture, [x, y]: [f64; 2], number: &str, color: [u8; 3
     let (left, top) = (x as u32 - wide / 2, y as u32 - 7);
     fill(picture, [left, top], [wide, 14], [16, 17, 20]);
     text::draw(picture, left + 3, top + 3, 1, color.map(|v| v.max(90)), number, wide);
-}
-
-fn is_building(class: &str) -> bool {
-    BUILDING.iter().any(|kind| is_kind(class, kind))
 }
 
 /// Those objects, as many as fit into the columns.

@@ -1,15 +1,13 @@
 //! A PNG that shows a scene at a glance: a perspective view, a view from above, and a legend.
 //!
-//! Scenes are drawn by the renderer, shaded by depth so that things of one color stand apart; points
-//! without shapes, and the sheets of `inspect`, as discs with a depth buffer. Neither is for judging
-//! image quality: `scenesplat render` is.
+//! Scenes are drawn by the renderer, shaded by depth so that things of one color stand apart; points without shapes as
+//! discs with a depth buffer. Neither is for judging image quality: `scenesplat render` is.
 
 mod depth_picture;
 mod discs;
 mod framing;
 mod inside;
 mod legend;
-mod look_at;
 mod orbit;
 pub(crate) mod orthographic;
 mod palette;
@@ -18,11 +16,11 @@ mod rendered;
 mod rows;
 mod splats;
 pub(crate) mod text;
+mod walls;
 
 pub use depth_picture::depth_picture;
 pub use inside::inside_views;
 pub use legend::LegendEntry;
-pub use look_at::LookAt;
 pub use orbit::{Ceiling, Orbit};
 pub use palette::{UNLABELLED_COLOR, class_color};
 pub use png::{write_png, write_png16};
@@ -35,6 +33,7 @@ use discs::{Canvas, Disc};
 use framing::{Framing, Upright};
 use legend::{LEGEND_WIDTH, draw_legend, draw_scale_bar};
 use rows::{discs_of, visible_rows};
+pub use scenesplat_scene::LookAt;
 use scenesplat_scene::picture::RgbPicture;
 use scenesplat_scene::{Up, WriteError};
 use std::path::Path;
@@ -122,11 +121,6 @@ pub fn render_preview(
     let framing = Framing::of(&discs, settings.open_rooms);
     let (kept, shown): (Vec<usize>, Vec<Disc>) =
         kept.into_iter().zip(discs).filter(|(_, d)| framing.shows(d.centre)).unzip();
-    let antialiased = rows.shapes.is_some_and(|shapes| shapes.antialiased);
-    let gaussians = rows.shapes.map(|shapes| {
-        let size = framing.top().size;
-        splats::gather(rows, &shapes, &kept, size)
-    });
 
     let legend_width = if legend.is_empty() { 0 } else { LEGEND_WIDTH };
     let width = 2 * view + 3 * MARGIN + legend_width;
@@ -138,13 +132,7 @@ pub fn render_preview(
 
     for (left, lens) in [(MARGIN, framing.perspective()), (right, framing.top())] {
         let mut canvas = Canvas::new(view);
-        // What the renderer refuses, such as far too many large Gaussians, is drawn as discs: a
-        // preview is no reason to fail.
-        let rendered =
-            gaussians.as_ref().map(|g| splats::draw(g, antialiased, upright, &lens, &mut canvas));
-        if !matches!(rendered, Some(Ok(()))) {
-            canvas.draw(&shown, &lens);
-        }
+        splats::draw_or_discs(rows, &kept, &shown, upright, &lens, &mut canvas);
         canvas.copy_to(&mut picture, left, top);
     }
 

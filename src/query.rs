@@ -93,6 +93,11 @@ pub fn select(
 }
 
 impl Selection {
+    /// Whether nothing is selected.
+    pub fn is_empty(&self) -> bool {
+        self.selected.iter().all(|selected| *selected == 0)
+    }
+
     /// Takes some Gaussians out of the selection, whose scores stay; gives the number that were in it. `rows`: which;
     /// those beyond its end stay.
     pub fn withhold(&mut self, rows: &[bool]) -> usize {

@@ -65,8 +65,8 @@ pub(crate) fn classes_of_names(
         let meant = || {
             let reading = reader.as_ref()?.read(text).ok()?;
             let nearest = reading.nearest.first()?;
-            (reading.verdict == Verdict::Sure && reading.colors.is_empty())
-                .then_some(nearest.class.about().name)
+            let is_class = reading.colors.is_empty() && reading.purpose.is_none();
+            (reading.verdict == Verdict::Sure && is_class).then_some(nearest.class.about().name)
         };
         own.or_else(|| meant().and_then(|meant| names.iter().position(|name| name == meant)))
     };

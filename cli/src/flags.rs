@@ -216,7 +216,7 @@ pub struct Inference {
     pub up: Option<Up>,
     /// What one unit of the scene is: m, cm, mm, km or a number of meters. The network reads a scaled
     /// copy; judged by the scene if not given.
-    #[arg(long, value_name = "UNIT|METRES", value_parser = parse_unit)]
+    #[arg(long, value_name = "UNIT|METRES", value_parser = parse_unit, allow_hyphen_values = true)]
     pub unit: Option<f64>,
     /// Height of the floor along up, in the scene's unit (where the floor is out of level, once it is
     /// level); for networks that read heights, such as the one inside the program. Looked for if not given.

@@ -41,6 +41,12 @@ pub fn interrupted() -> bool {
     STOP.load(Ordering::SeqCst) || caller().is_some_and(|caller| caller.stops())
 }
 
+/// Asks the work to stop, as Ctrl-C does.
+#[cfg(feature = "mcp")]
+pub fn stop() {
+    STOP.store(true, Ordering::SeqCst);
+}
+
 /// Shows the steps of a command on standard error.
 #[derive(Debug)]
 pub struct Progress {

@@ -128,6 +128,12 @@ pub fn forget_warnings(strict: bool) {
     STRICT.set(strict);
 }
 
+/// Begins one of several requests of a command: what an earlier one warned of is told again.
+#[cfg(feature = "mcp")]
+pub fn tell_warnings_again() {
+    WARNINGS.take();
+}
+
 /// Notes a warning. Whether it is new: each is told once.
 pub fn note_warning(text: &str) -> bool {
     WARNINGS.with_borrow_mut(|known| {

@@ -12,6 +12,7 @@ fn features() -> String {
     let all = [
         (cfg!(feature = "cuda"), "cuda"),
         (cfg!(feature = "metal"), "metal"),
+        (cfg!(feature = "mcp"), "mcp"),
         (cfg!(feature = "mpi"), "mpi"),
         (cfg!(feature = "nccl"), "nccl"),
         (cfg!(feature = "onnx"), "onnx"),

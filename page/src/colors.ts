@@ -37,10 +37,19 @@ export interface Shown {
   hidden: Set<number>;
   found: Found | null;
   selected: Uint8Array | null;
+  /** Sides of each Gaussian, as bits, and those that are cut away. */
+  cut: { sides: Uint8Array; away: number } | null;
 }
 
 /** Writes red, green, blue, opacity of every Gaussian. */
 export function paint(data: SceneData, shown: Shown, out: Uint8Array): void {
+  paintAll(data, shown, out);
+  const { cut } = shown;
+  if (cut === null || cut.away === 0) return;
+  for (let i = 0; i < cut.sides.length; i++) if ((cut.sides[i] & cut.away) !== 0) out[4 * i + 3] = 0;
+}
+
+function paintAll(data: SceneData, shown: Shown, out: Uint8Array): void {
   const { count: n, classes } = data.about;
   const { label } = data;
   // Four bytes at once, the lowest first as on every machine that browsers run on.

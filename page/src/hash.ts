@@ -8,6 +8,8 @@ export interface Shared {
   threshold: number | null;
   hidden: number[];
   camera: number[] | null;
+  /** Whether near walls are cut away. */
+  cut: boolean;
 }
 
 export function readHash(hash: string): Shared {
@@ -22,6 +24,7 @@ export function readHash(hash: string): Shared {
     threshold: threshold >= 0 && threshold <= 255 ? threshold : null,
     hidden: numbers(parts.get("hide")).filter((h) => Number.isInteger(h) && h >= 0 && h < 65536),
     camera: camera.length === 6 && camera.every(Number.isFinite) ? camera : null,
+    cut: parts.get("cut") !== "0",
   };
 }
 
@@ -35,6 +38,7 @@ export function writeHash(shared: Shared): void {
     parts.set("threshold", String(shared.threshold));
   }
   if (shared.hidden.length > 0) parts.set("hide", shared.hidden.join(","));
+  if (!shared.cut) parts.set("cut", "0");
   if (shared.camera !== null) parts.set("camera", shared.camera.map((v) => v.toFixed(3)).join(","));
   const text = `#${parts.toString()}`;
   if (text === last) return;

@@ -1,5 +1,6 @@
 // The page: what is on it and what happens when it is used.
 
+import { isBuilding, legendOrder } from "./classes";
 import { MODES, paint, viridis, type Mode } from "./colors";
 import { startApp, type Saver } from "./app/app";
 import { carried, readAbout, readScene, type About, type Parts, type SceneData } from "./data";
@@ -10,8 +11,11 @@ import { PhraseBook } from "./phrases";
 import { answer, foundObjects, selection, type Found } from "./query";
 import { Stage } from "./stage";
 
-const MODE_NAMES: Record<Mode, string> = {
-  colors: "Colors", labels: "Labels", objects: "Objects", confidence: "Confidence", features: "Features",
+/** Names of the colorings, and what their colors are. */
+const MODE_NAMES: Record<Mode, [string, string]> = {
+  colors: ["Colors", "own colors, as in photos"], labels: ["Labels", "a color for each class"],
+  objects: ["Objects", "a color for each object"], confidence: ["Confidence", "how sure labels are"],
+  features: ["Features", "the first three code numbers"],
 };
 /** Longest lists that are shown at once. */
 const MOST_ROWS = 400;
@@ -44,6 +48,7 @@ class Page {
   async start(): Promise<void> {
     const canvas = byId<HTMLCanvasElement>("canvas");
     this.stage = await Stage.open(this.data, canvas, (row) => this.describe(row));
+    this.stage.onCut = () => this.repaint();
     this.modes();
     this.controls();
     this.restore();
@@ -58,13 +63,9 @@ class Page {
   private restore(): void {
     const before = readHash(location.hash);
     this.clearQuery();
-    this.mode = before.mode !== null && this.available(before.mode) ? before.mode
-      : this.available("labels") ? "labels" : "colors";
+    this.mode = before.mode !== null && this.available(before.mode) ? before.mode : "colors";
     this.hidden.clear();
-    // One looks into a room from above; its switch in the legend shows the ceiling again.
-    if (location.hash === "") {
-      this.data.about.classes.forEach((c, i) => /ceiling\s*$/i.test(c.name.slice(-60)) && this.hidden.add(i + 1));
-    }
+    this.setCut(before.cut);
     before.hidden.forEach((h) => h <= this.data.about.classes.length && this.hidden.add(h));
     this.legend();
     this.objectList(null);
@@ -85,6 +86,8 @@ class Page {
       project: (row: number) => stage?.project(row) ?? null,
       pick: (x: number, y: number) => stage?.pick(x, y) ?? -1,
       selected: () => this.selected,
+      /** Red, green, blue, opacity of each Gaussian as it is drawn. */
+      drawn: () => stage?.paint ?? null,
       data: this.data,
       queryTimes: this.queryTimes,
     };
@@ -102,7 +105,8 @@ class Page {
   private modes(): void {
     const bar = byId("modes");
     MODES.filter((m) => this.available(m)).forEach((mode, i) => {
-      const button = element("button", { text: MODE_NAMES[mode], title: `Key ${i + 1}` });
+      const [text, what] = MODE_NAMES[mode];
+      const button = element("button", { text, title: `Show ${what} (key ${i + 1})` });
       button.dataset.mode = mode;
       button.addEventListener("click", () => this.setMode(mode));
       bar.append(button);
@@ -141,15 +145,50 @@ class Page {
       this.refresh();
     });
     byId("invert").addEventListener("click", () => this.invert());
-    const name = () => short(this.data.about.title, 40).replace(/[^\p{L}\p{N}._-]+/gu, "_") || "scene";
-    byId("csv").addEventListener("click", () => this.selected !== null && save(`${name()}.csv`, csv(this.data, this.selected), "text/csv"));
+    byId("csv").addEventListener("click", () => this.selected !== null
+      && save(`${this.name()}.csv`, csv(this.data, this.selected), "text/csv"));
     byId("ply").addEventListener("click", () => this.selected !== null
-      && save(`${name()}.ply`, ply(this.data, this.selected) as BlobPart, "application/octet-stream"));
+      && save(`${this.name()}.ply`, ply(this.data, this.selected) as BlobPart, "application/octet-stream"));
     byId("home").addEventListener("click", () => this.stage?.navigator.goHome());
     byId("all").addEventListener("click", () => this.showAll());
-    byId("fold").addEventListener("click", () => document.body.classList.toggle("folded"));
+    // The panel of a scene before this one may have been folded.
+    document.body.classList.remove("folded");
+    byId("fold").addEventListener("click", () => this.fold());
+    byId("shot").addEventListener("click", () => this.shoot());
+    const cut = byId<HTMLInputElement>("cut");
+    byId("cutting").hidden = this.stage?.room === null;
+    cut.addEventListener("change", () => {
+      this.setCut(cut.checked);
+      this.repaint();
+    });
     document.addEventListener("keydown", (e) => this.key(e), { signal: this.ending.signal });
     this.savers();
+  }
+
+  /** The title as the name of a file. */
+  private name(): string {
+    return short(this.data.about.title, 40).replace(/[^\p{L}\p{N}._-]+/gu, "_") || "scene";
+  }
+
+  private setCut(cuts: boolean): void {
+    byId<HTMLInputElement>("cut").checked = cuts;
+    if (this.stage !== null) this.stage.cuts = cuts;
+  }
+
+  private fold(): void {
+    const folded = document.body.classList.toggle("folded"), button = byId("fold");
+    button.textContent = folded ? "▴" : "▾";
+    button.title = folded ? "Unfold the panel" : "Fold the panel";
+    button.setAttribute("aria-label", button.title);
+    button.setAttribute("aria-expanded", String(!folded));
+  }
+
+  /** Saves what is seen. */
+  private shoot(): void {
+    this.stage?.picture().then(
+      (picture) => save(`${this.name().replace(/(.)\.[^.]*$/, "$1")}.png`, picture, "image/png"),
+      (error: unknown) => tell(`The picture cannot be saved: ${short(String(error), 200)}`),
+    );
   }
 
   /** Buttons that save what is selected or, without a selection, the classes that are shown. */
@@ -199,6 +238,8 @@ class Page {
       this.stage?.navigator.goHome();
     } else if (e.key === "i") {
       this.invert();
+    } else if (e.key === "c") {
+      this.shoot();
     } else if (e.key === "p" && this.stage !== null) {
       this.describe(this.stage.pickCenter());
     } else if (e.key === "+" || e.key === "-") {
@@ -264,11 +305,16 @@ class Page {
     this.refresh();
   }
 
-  private refresh(): void {
-    const { stage } = this;
+  private repaint(): void {
+    const { stage, mode, hidden, found, selected } = this;
     if (stage === null) return;
-    paint(this.data, { mode: this.mode, hidden: this.hidden, found: this.found, selected: this.selected }, stage.paint);
+    const cut = stage.room === null ? null : { sides: stage.room.sides, away: stage.cutAway() };
+    paint(this.data, { mode, hidden, found, selected, cut }, stage.paint);
     stage.repaint();
+  }
+
+  private refresh(): void {
+    this.repaint();
     document.querySelectorAll<HTMLButtonElement>("#modes button").forEach((b) => {
       b.setAttribute("aria-pressed", String(this.found === null && b.dataset.mode === this.mode));
     });
@@ -302,14 +348,14 @@ class Page {
   private legend(): void {
     const list = byId("classes");
     const { classes } = this.data.about;
-    const order = classes.map((_, i) => i).filter((i) => classes[i].count > 0)
-      .sort((a, b) => classes[b].count - classes[a].count || a - b);
+    const order = legendOrder(classes);
     const rows = order.slice(0, MOST_ROWS).map((i) => {
       const { name, color, count } = classes[i];
       const box = element("input");
       box.type = "checkbox";
       box.checked = !this.hidden.has(i + 1);
-      box.setAttribute("aria-label", `show ${short(name)}`);
+      box.title = `show ${short(name)}`;
+      box.setAttribute("aria-label", box.title);
       box.addEventListener("change", () => {
         if (box.checked) this.hidden.delete(i + 1);
         else this.hidden.add(i + 1);
@@ -344,7 +390,9 @@ class Page {
 
   private objectList(chosen: number[] | null): void {
     const { objects, classes } = this.data.about;
-    const places = chosen ?? objects.map((_, i) => i);
+    // Of all objects the building's parts come last.
+    const building = objects.map((o) => Number(isBuilding(classes[o.label].name)));
+    const places = chosen ?? objects.map((_, i) => i).sort((a, b) => building[a] - building[b] || a - b);
     byId("objects").hidden = objects.length === 0;
     byId("objects-title").textContent = chosen === null ? `Objects (${objects.length})` : `Found objects (${places.length})`;
     const rows = places.slice(0, MOST_ROWS).map((i) => {
@@ -404,6 +452,7 @@ class Page {
       threshold: this.threshold,
       hidden: [...this.hidden],
       camera: this.stage.navigator.state(),
+      cut: this.stage.cuts,
     });
   }
 }
@@ -437,11 +486,10 @@ async function show(parts: Parts | null, saver: Saver | null): Promise<void> {
   if (canvas.getContext("webgl2") === null) {
     document.body.classList.add("blind");
     tell("This browser shows no WebGL 2, which the scene is drawn with. Try another browser, or switch on hardware acceleration. What is in the scene is listed here.");
-    const rows = about.classes.filter((c) => c.count > 0).sort((a, b) => b.count - a.count)
-      .slice(0, MOST_ROWS).map((c) => element("li", {}, [
-        element("span"), element("span"), element("span", { text: short(c.name), className: "name" }),
-        element("span", { text: thousands(c.count), className: "count" }), element("span"),
-      ]));
+    const rows = legendOrder(about.classes).slice(0, MOST_ROWS).map((i) => element("li", {}, [
+      element("span"), element("span"), element("span", { text: short(about.classes[i].name), className: "name" }),
+      element("span", { text: thousands(about.classes[i].count), className: "count" }), element("span"),
+    ]));
     byId("classes").replaceChildren(...rows);
     byId("legend").hidden = rows.length === 0;
     byId("loading").hidden = true;

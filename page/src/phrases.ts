@@ -27,9 +27,25 @@ export interface Relation {
 }
 
 const ARTICLES = new Set(["the", "a", "an", "some", "any", "my"]);
-/** As `ALIKE` and `SURE` of the program. */
+/** As `ALIKE`, `LEAD` and `SURE` of the program. */
 const ALIKE = 0.4;
+const LEAD = 0.05;
 const SURE = 0.55;
+/** Words before a purpose, as `LEADING`, `OPENING`, `PLACES` and `THINGS` of the program. */
+const LEADING = new Set(("something thing object item furniture piece of place spot area room one what where which to for used use i " +
+  "child kid guest person can could may might do does will would should usually normally always often want need in on " +
+  "comfortable comfy nice good it be go show me find").split(" "));
+const OPENING = new Set("something thing object item furniture place spot what where to for".split(" "));
+const KINDS: Record<string, Set<string>> = {
+  "@": new Set("place where spot area room".split(" ")),
+  "#": new Set("something thing object item what which".split(" ")),
+};
+/** Words that say nothing in a purpose, and those that count as another, as `DROPPED` and `SAME` of the program. */
+const SILENT = new Set("this that these those your his her its our their please is are am".split(" "));
+const SAME: Record<string, string> = {
+  we: "i", you: "i", he: "i", she: "i", they: "i", people: "i", somewhere: "place", anywhere: "place", anything: "something",
+  stuff: "something", feet: "foot", teeth: "tooth", children: "child",
+};
 /** Denials that no English word is a letter from. */
 const MISSPELT = ["without", "except", "excluding"];
 
@@ -43,6 +59,21 @@ function singular(word: string): string {
   if (word.length > 4 && word.endsWith("ies")) return word.slice(0, -3) + "y";
   if (word.length > 3 && word.endsWith("ves")) return word.slice(0, -3) + "f";
   return word.length > 3 && word.endsWith("s") && !word.endsWith("ss") ? word.slice(0, -1) : word;
+}
+
+/** A word and what it may be a form of: a plural, a verb in -s, -ing or -ed. */
+function forms(word: string): string[] {
+  const found = [word, word.replace(/s$/, ""), word.replace(/es$/, ""), singular(word)];
+  const stem = word.replace(/(ing|ed)$/, "");
+  if (stem.length > 2) found.push(stem, stem + "e", stem.replace(/(.)\1$/, "$1"));
+  return found;
+}
+
+/** Whether words fill all slots of a purpose. */
+function fits(all: string[], slots: string[]): boolean {
+  if (slots.length === 0) return all.length === 0;
+  return slots[0].split("|").some((own) => own === "_" ? fits(all, slots.slice(1))
+    : all.length > 0 && forms(all[0]).includes(own) && fits(all.slice(1), slots.slice(1)));
 }
 
 /** Whether two words differ by one letter more, less, other or by two swapped neighbours. */
@@ -62,6 +93,7 @@ export class PhraseBook {
   private texts = new Map<string, number>();
   private phrases = new Map<string, number>();
   private groups = new Map<string, number[]>();
+  private purposes: { members: number[]; purposes?: string[] }[];
   private known = new Set<string>();
   private colors: Set<string>;
   private articles: Set<string>;
@@ -76,7 +108,11 @@ export class PhraseBook {
       const key = words(phrase).map(singular).join(" ");
       if (!this.phrases.has(key)) this.phrases.set(key, i);
     });
-    for (const { name, members } of data.about.groups) this.groups.set(words(name).map(singular).join(" "), members);
+    this.purposes = data.about.groups;
+    for (const { name, members } of data.about.groups) {
+      const key = words(name).map(singular).join(" ");
+      if (key !== "" && !this.groups.has(key)) this.groups.set(key, members);
+    }
     for (const key of [...this.texts.keys(), ...this.groups.keys(), ...this.phrases.keys()]) {
       for (const word of key.split(" ")) this.known.add(word);
     }
@@ -98,7 +134,7 @@ export class PhraseBook {
   /** The first words of a place, unless the phrase is known as a whole. */
   relation(text: string): Relation | null {
     const all = words(text);
-    if (this.phrases.has(all.map(singular).join(" "))) return null;
+    if (this.phrases.has(all.map(singular).join(" ")) || this.serving(text) !== null) return null;
     for (let at = 0; at < all.length - 1; at++) {
       let best: Relation | null = null, most = 0;
       for (const [word, relation] of this.data.about.places) {
@@ -150,27 +186,72 @@ export class PhraseBook {
       remarks.push(`“${word}” taken as “${other}”`);
       return other;
     });
+    const serving = this.serving(text) ?? this.serving(right.join(" "));
+    if (serving !== null) {
+      if (serving.length === 0) return { ...none, how: "no class serves this purpose" };
+      const names = serving.map((m) => this.data.about.classes[m].name).join(", ");
+      const left = typed.some((word) => this.colors.has(word)) ? "; the color is left out" : "";
+      if (serving.length === 1) return this.ofText(serving[0], `taken as “${names}”, which serves this purpose${left}`);
+      return { text: -1, label: -1, members: serving, how: `taken as all of ${names}, which serve this purpose${left}`, isUnknown: false };
+    }
     const corrected = this.texts.get(right.join(" "));
     if (corrected !== undefined) return this.ofText(corrected, remarks.join("; "));
     const colors = right.filter((w) => this.colors.has(w));
     const rest = right.filter((w) => !this.colors.has(w));
     const similar = this.similarity(rest.length > 0 ? rest : right);
     if (similar === null) return { ...none, how: "none of these words is known" };
-    const [label, score] = similar;
-    if (score < ALIKE) {
+    const [best, ...others] = similar;
+    if (best === undefined || best[1] < ALIKE) {
       return { ...none, how: "nothing among the classes of this scene is like it" };
     }
+    const [label, score] = best;
     const name = this.data.about.classes[label].name.slice(0, 60);
-    remarks.push(`taken as “${name}” (${score.toFixed(2)}${score < SURE ? ", not sure" : ""})`);
+    const near = others.filter(([, other]) => score - other < LEAD).slice(0, 4);
+    const isSure = score >= SURE && near.length === 0;
+    remarks.push(`taken as “${name}” (${score.toFixed(2)}${isSure ? "" : ", not sure"})`);
+    const listed = near.map(([other, own]) => `${this.data.about.classes[other].name.slice(0, 60)} ${own.toFixed(2)}`);
+    if (listed.length > 0) remarks.push(`near: ${listed.join(", ")}`);
     const painted = colors.length > 0 ? this.texts.get([colors[0], ...words(name).map(singular)].join(" ")) : undefined;
     return this.ofText(painted ?? label, remarks.join("; "));
   }
 
-  /** The class whose name in German or French a phrase is. */
+  /** The classes that serve the purpose that a phrase names; none if no class does, null if it names something else. */
+  private serving(text: string): number[] | null {
+    const all = words(text).filter((w) => !SILENT.has(w) && !this.colors.has(w)).map((w) => SAME[w] ?? w);
+    if (all.length > 16) return null;
+    const isAny = (word: string, list: Set<string>) => forms(word).some((form) => list.has(form));
+    let lead = all.findIndex((word) => !isAny(word, LEADING));
+    if (lead < 0) lead = all.length;
+    const opening = all.slice(0, lead).findIndex((word) => isAny(word, OPENING));
+    if (opening < 0) return null;
+    // What may lead may also be what is done: "where I go out".
+    for (let at = lead; at > opening; at--) {
+      const found = this.purposes.find((group) => (group.purposes ?? []).some((pattern) => {
+        const kind = KINDS[pattern[0]];
+        if (kind !== undefined && !all.slice(0, at).some((word) => isAny(word, kind))) return false;
+        return fits(all.slice(at), (kind === undefined ? pattern : pattern.slice(2)).split(" "));
+      }));
+      if (found !== undefined) return found.members;
+    }
+    return null;
+  }
+
+  /** The class whose name in German or French, or in everyday English, a phrase is. */
   private foreignClass(text: string): number | null {
     const all = words(text.replace(/(^|\s)[ldjc]['’]/giu, "$1"));
     const at = all.findIndex((word) => !this.articles.has(word));
-    return at < 0 ? null : this.foreign.get(all.slice(at).join(" ")) ?? null;
+    if (at < 0) return null;
+    const name = all.slice(at).join(" ");
+    const whole = this.foreign.get(name) ?? this.foreign.get(name.replace(/s$/, ""));
+    if (whole !== undefined || name.includes(" ") || this.known.has(name)) return whole ?? null;
+    // A German compound is what it ends with; a "Leinwand" is no wall, a "Bettdecke" no ceiling.
+    let best: number | null = null, most = 3;
+    for (const [end, label] of this.foreign) {
+      const isEnd = end.length > most && name.length >= end.length + 3 && name.endsWith(end);
+      if (!isEnd || ["wall", "ceiling"].includes(this.data.about.classes[label].name)) continue;
+      [best, most] = [label, end.length];
+    }
+    return best;
   }
 
   private ofText(text: number, how: string): Meaning {
@@ -185,8 +266,8 @@ export class PhraseBook {
     return null;
   }
 
-  /** The nearest class by the longest known parts, and how near. */
-  private similarity(all: string[]): [number, number] | null {
+  /** The classes by the longest known parts and how near each is, the nearest first; null if no part is known. */
+  private similarity(all: string[]): [number, number][] | null {
     const sums = new Map<number, number>();
     let weight = 0;
     for (let at = 0; at < all.length;) {
@@ -209,10 +290,8 @@ export class PhraseBook {
       weight += length;
       at += length;
     }
-    let best: [number, number] | null = weight > 0 ? [-1, 0] : null;
-    for (const [label, sum] of sums) {
-      if (best !== null && sum / weight > best[1]) best = [label, sum / weight];
-    }
-    return best;
+    if (weight === 0) return null;
+    const found = [...sums].map(([label, sum]): [number, number] => [label, sum / weight]);
+    return found.sort((x, y) => y[1] - x[1] || x[0] - y[0]);
   }
 }

@@ -7,6 +7,7 @@ import {
 import { PackedSplats, RgbaArray, SparkRenderer, SplatMesh } from "@sparkjsdev/spark";
 import { rotationOf, scaleOf, type SceneData } from "./data";
 import { Navigator } from "./camera";
+import { facing, roomOf, wholeFrom, type Room } from "./room";
 
 const EDGES = [0, 1, 1, 2, 2, 3, 3, 0, 4, 5, 5, 6, 6, 7, 7, 4, 0, 4, 1, 5, 2, 6, 3, 7];
 
@@ -16,6 +17,13 @@ export class Stage {
   /** Scene frame and unit → metres, +z up. */
   readonly toWorld: Matrix4;
   frames = 0;
+  /** What is seen into from outside; null without walls. */
+  readonly room: Room | null;
+  /** Whether walls and ceiling before the camera are cut away. */
+  cuts = true;
+  /** Other sides of the room than before are to be cut away. */
+  onCut: () => void = () => {};
+  private away = 0;
   private renderer: WebGLRenderer;
   private spark: SparkRenderer;
   private scene = new Scene();
@@ -40,6 +48,7 @@ export class Stage {
     this.navigator = new Navigator(this.camera, canvas, (x, y) => onClick(this.pick(x, y)));
     this.navigator.onChange = () => this.wake();
     this.toWorld = worldOf(data);
+    this.room = roomOf(data);
     const capacity = textureRows(n);
     this.paint = new Uint8Array(4 * capacity);
     this.rgba = new RgbaArray({ array: this.paint, count: n, capacity });
@@ -96,6 +105,20 @@ export class Stage {
     this.rgba.needsUpdate = true;
     this.mesh.updateVersion();
     this.wake();
+  }
+
+  /** The sides of the room that are to be cut away now, as bits. */
+  cutAway(): number {
+    return this.room !== null && this.cuts ? facing(this.room, this.camera.position.toArray()) : 0;
+  }
+
+  /** What is seen, in the pixels of the canvas. */
+  picture(): Promise<Blob> {
+    this.renderer.render(this.scene, this.camera);
+    return new Promise((done, fail) => this.canvas.toBlob((blob) => {
+      if (blob === null) fail(new Error("the browser gives no picture of the canvas"));
+      else done(blob);
+    }, "image/png"));
   }
 
   wake(): void {
@@ -185,6 +208,11 @@ export class Stage {
     const seconds = Math.min((time - this.last) / 1000, 0.2);
     this.last = time;
     if (this.navigator.step(seconds)) this.wake();
+    const away = this.cutAway();
+    if (away !== this.away) {
+      this.away = away;
+      this.onCut();
+    }
     if (this.dirty <= 0) return;
     this.dirty--;
     this.renderer.render(this.scene, this.camera);
@@ -203,12 +231,15 @@ export class Stage {
   private homeView(): void {
     const [low, high] = coreOf(this.data, this.toWorld);
     const size = high.clone().sub(low);
-    const middle = low.clone().add(high).multiplyScalar(0.5);
+    const box = this.room ?? { yaw: 0, low: low.toArray(), high: high.toArray() };
+    const middle = new Vector3(...box.low).add(new Vector3(...box.high)).multiplyScalar(0.5);
+    middle.applyAxisAngle(new Vector3(0, 0, 1), box.yaw);
     const reach = Math.max(size.x, size.y, size.z);
-    // Narrow windows need more distance.
-    const aspect = Math.min(this.camera.aspect, 1.2) / 1.2;
+    const slope = Math.tan((this.camera.fov * Math.PI) / 360);
+    const yaw = box.yaw + 0.9, pitch = -0.75;
+    const distance = wholeFrom(box, yaw, pitch, [slope * this.camera.aspect, slope]);
     this.navigator.speed = Math.max(reach / 4, 0.3);
-    this.navigator.setHome(middle, (reach * 1.25) / Math.max(aspect, 0.45), 0.9, -0.75);
+    this.navigator.setHome(middle, Math.max(distance, 0.05), yaw, pitch);
   }
 }
 

@@ -22,7 +22,7 @@ export async function modules(replaced = []) {
   };
   const out = await build({
     stdin: {
-      contents: ["codes", "query", "phrases", "exporting", "hash", "colors", "data", "kit/numbers"]
+      contents: ["classes", "codes", "query", "phrases", "exporting", "hash", "colors", "data", "room", "kit/numbers"]
         .map((name) => `export * from "./src/${name}";`).join("\n"),
       resolveDir: here,
       loader: "ts",
@@ -75,6 +75,109 @@ function scene({ Codes }) {
     phrases: ["seat", "work table"],
     near: Uint8Array.from([1, 250, 0, 0, 0, 0, 0, 0, 2, 200, 0, 0, 0, 0, 0, 0]),
   };
+}
+
+/** Points on the sides of a room of 5 × 4 × 2.5 m, on a table in it and on a cabinet at a wall, as the page has them. `turn`: radians about
+ * the vertical; `lies`: up is y and the unit is half a meter. */
+function roomScene({ ceiling = true, labels = true, turn = 0, lies = false } = {}) {
+  const size = [5, 4, 2.5], places = [], kinds = [];
+  const add = (kind, p) => {
+    kinds.push(kind);
+    places.push(p);
+  };
+  const fill = (kind, low, high) => {
+    const step = [0, 1, 2].map((a) => (high[a] - low[a]) / Math.max(1, Math.round((high[a] - low[a]) / 0.05)));
+    const counts = step.map((s, a) => (s > 0 ? Math.round((high[a] - low[a]) / s) : 1));
+    for (let i = 0; i < counts[0]; i++) for (let j = 0; j < counts[1]; j++) for (let k = 0; k < counts[2]; k++) {
+      add(kind, [low[0] + (i + 0.5) * step[0], low[1] + (j + 0.5) * step[1], low[2] + (k + 0.5) * step[2]]);
+    }
+  };
+  fill("floor", [0, 0, 0], [size[0], size[1], 0]);
+  if (ceiling) fill("ceiling", [0, 0, size[2]], size);
+  fill("wall x0", [0, 0, 0], [0, size[1], size[2]]);
+  fill("wall x1", [size[0], 0, 0], size);
+  fill("wall y0", [0, 0, 0], [size[0], 0, size[2]]);
+  fill("wall y1", [0, size[1], 0], size);
+  fill("table", [2, 1.5, 0.7], [3, 2.5, 0.7]);
+  fill("cabinet", [0.05, 1, 0], [0.05, 2, 1.5]);
+  return shaped(places, kinds, { labels, turn, lies });
+}
+
+function shaped(places, kinds, { labels, turn, lies }) {
+  const n = places.length, names = ["floor", "ceiling", "wall", "table", "cabinet"];
+  const c = Math.cos(turn), s = Math.sin(turn);
+  const toFile = ([x, y, z]) => {
+    const p = [c * x - s * y, s * x + c * y, z];
+    return lies ? [2 * p[0], 2 * p[2], -2 * p[1]] : p;
+  };
+  const label = kinds.map((kind) => (labels ? names.indexOf(kind.split(" ")[0]) + 1 : 0));
+  const classes = labels ? names.map((name, i) => ({ name, color: [0, 0, 0], count: label.filter((l) => l === i + 1).length })) : [];
+  return {
+    about: { count: n, classes, up: lies ? [[1, 0, 0], [0, 0, -1], [0, 1, 0]] : [[1, 0, 0], [0, 1, 0], [0, 0, 1]], metresPerUnit: lies ? 0.5 : 1 },
+    position: Float32Array.from(places.flatMap(toFile)), label: Uint16Array.from(label),
+    scale: new Uint8Array(3 * n).fill(3), scales: Float32Array.from({ length: 256 }, (_, i) => i / 100),
+    color: new Uint8Array(4 * n).fill(200),
+    kinds, places, eye: ([x, y, z]) => [c * x - s * y, s * x + c * y, z],
+  };
+}
+
+/** Walls and ceiling before the camera are cut away, and nothing else. */
+function rooms(m) {
+  for (const labels of [true, false]) for (const ceiling of [true, false]) {
+    for (const [turn, lies] of [[0, false], [0.5, false], [-0.6, true]]) {
+      const scene = roomScene({ ceiling, labels, turn, lies }), room = m.roomOf(scene), said = JSON.stringify({ labels, ceiling, turn, lies });
+      assert.ok(room !== null, said);
+      near(room.yaw, turn, 0.02);
+      /** The part of each kind that is not drawn; away from edges, where two sides meet. */
+      const gone = (eye) => {
+        const away = m.facing(room, scene.eye(eye)), all = {}, cut = {};
+        scene.kinds.forEach((kind, i) => {
+          const atEdge = [[5, 0], [4, 1], [2.5, 2]].filter(([size, a]) => Math.min(scene.places[i][a], size - scene.places[i][a]) < 0.3).length > 1;
+          if (atEdge) return;
+          all[kind] = (all[kind] ?? 0) + 1;
+          cut[kind] = (cut[kind] ?? 0) + ((room.sides[i] & away) !== 0 ? 1 : 0);
+        });
+        return Object.fromEntries(Object.entries(all).map(([kind, count]) => [kind, cut[kind] / count]));
+      };
+      const whole = { floor: 0, ...(ceiling ? { ceiling: 0 } : {}), "wall x0": 0, "wall x1": 0, "wall y0": 0, "wall y1": 0, table: 0, cabinet: 0 };
+      const above = ceiling ? { ceiling: 1 } : {};
+      // A cabinet at a wall stays where labels tell it from the wall.
+      const beside = { "wall x0": 1, cabinet: labels ? 0 : 1 };
+      assert.deepEqual(gone([-3, -4, 5]), { ...whole, ...above, ...beside, "wall y0": 1 }, said);
+      assert.deepEqual(gone([8, 9, 5]), { ...whole, ...above, "wall x1": 1, "wall y1": 1 }, said);
+      assert.deepEqual(gone([-3, 2, 1.5]), { ...whole, ...beside }, said);
+      assert.deepEqual(gone([2.5, 2, 8]), { ...whole, ...above }, said);
+      // From inside all is there.
+      for (const eye of [[2.5, 2, 1.5], [0.4, 0.4, 1.5], [4.6, 3.6, 0.3]]) assert.deepEqual(gone(eye), whole, said);
+    }
+  }
+  // A ball has no walls, and neither has uneven ground.
+  const ball = Array.from({ length: 6000 }, (_, i) => {
+    const z = 1 - (2 * i + 1) / 6000, r = Math.sqrt(1 - z * z);
+    return [r * Math.cos(2.4 * i), r * Math.sin(2.4 * i), z];
+  });
+  const ground = Array.from({ length: 3600 }, (_, i) => [(i % 60) / 20, Math.floor(i / 60) / 20, 0.2 * Math.sin(i / 9) * Math.cos(i / 500)]);
+  for (const points of [ball, ground]) {
+    assert.equal(m.roomOf(shaped(points, points.map(() => "thing"), { labels: false, turn: 0, lies: false })), null);
+  }
+  assert.equal(m.roomOf(shaped([], [], { labels: false, turn: 0, lies: false })), null);
+  // The first view: a corner touches what is filled of the picture, none is beyond it.
+  const box = { yaw: 0.4, low: [-2, -1, 0], high: [2, 1, 2.5] };
+  for (const [yaw, pitch, slopes] of [[1.3, -0.75, [0.6, 0.5]], [1.3, -0.75, [0.24, 0.5]], [0, 0.3, [1, 1]]]) {
+    const distance = m.wholeFrom(box, yaw, pitch, slopes), c = Math.cos(box.yaw), s = Math.sin(box.yaw);
+    const ahead = [Math.cos(pitch) * Math.cos(yaw), Math.cos(pitch) * Math.sin(yaw), Math.sin(pitch)];
+    const right = [Math.sin(yaw), -Math.cos(yaw), 0];
+    const up = [-Math.sin(pitch) * Math.cos(yaw), -Math.sin(pitch) * Math.sin(yaw), Math.cos(pitch)];
+    let most = 0;
+    for (let i = 0; i < 8; i++) {
+      const [x, y, z] = [i & 1 ? 2 : -2, i & 2 ? 1 : -1, i & 4 ? 1.25 : -1.25];
+      const p = [c * x - s * y, s * x + c * y, z], dot = (a) => a[0] * p[0] + a[1] * p[1] + a[2] * p[2];
+      const depth = distance + dot(ahead);
+      assert.ok(depth > 0);
+      most = Math.max(most, Math.abs(dot(right)) / depth / slopes[0], Math.abs(dot(up)) / depth / slopes[1]);
+    }
+    near(most, 0.94, 1e-6);
+  }
 }
 
 export async function check(m) {
@@ -187,12 +290,25 @@ export async function check(m) {
 
   // Colors: a class in its own, what is hidden not at all, what is selected by its heat.
   const out = new Uint8Array(24);
-  m.paint(data, { mode: "labels", hidden: new Set([2]), found: null, selected: null }, out);
+  m.paint(data, { mode: "labels", hidden: new Set([2]), found: null, selected: null, cut: null }, out);
   assert.deepEqual([out[3], out[11], out[15]], [128, 0, 0]);
   assert.ok(out[1] > out[0] && out[1] > out[2]);
-  m.paint(data, { mode: "labels", hidden: new Set(), found: chair, selected: m.selection(chair, 1, true) }, out);
+  m.paint(data, { mode: "labels", hidden: new Set(), found: chair, selected: m.selection(chair, 1, true), cut: null }, out);
   assert.ok(out[0] > 150 && out[2] < 60, "the hottest is yellow");
   assert.ok(Math.abs(out[20] - out[21]) < 3, "what is not selected is grey");
+  // What belongs to a side that is cut away is not drawn, in any coloring.
+  const cut = { sides: Uint8Array.from([0, 1, 2, 3, 4, 6]), away: 2 };
+  for (const mode of m.MODES) {
+    m.paint(data, { mode, hidden: new Set(), found: null, selected: null, cut }, out);
+    assert.deepEqual([3, 7, 11, 15, 19, 23].map((i) => out[i]), [128, 128, 0, 0, 128, 0], mode);
+  }
+  rooms(m);
+  // The legend: by size, the building's parts last, what does not occur not at all.
+  const legend = [["Wall", 900], ["chair", 5], ["wallpaper", 4], ["inner wall", 800], ["HouseWall", 700], ["lamp", 0], ["floor", 950],
+    ["table", 70], ["wall clock", 3], ["ceiling", 1], ["x".repeat(100_000), 2], ["chair two", 5]];
+  const sorted = m.legendOrder(legend.map(([name, count]) => ({ name, count, color: [0, 0, 0] }))).map((i) => legend[i][0].slice(0, 10));
+  assert.deepEqual(sorted, ["table", "chair", "chair two", "wallpaper", "wall clock", "xxxxxxxxxx",
+    "floor", "Wall", "inner wall", "HouseWall", "ceiling"]);
 
   // Files: rows of the scene's file, formulas that are none, values as they were.
   assert.deepEqual(["=1+1", "-x", "a,b", 'say "x"', "\tx"].map(m.field), ["'=1+1", "'-x", '"a,b"', '"say ""x"""', "'\tx"]);
@@ -209,11 +325,26 @@ export async function check(m) {
 
   // Addresses: nothing of them is believed that is out of range.
   const back = m.readHash("#mode=objects&query=red+chair&threshold=77&hide=2,0,-1,99999,x&camera=1,2,3,4,5,6");
-  assert.deepEqual(back, { mode: "objects", query: "red chair", threshold: 77, hidden: [2, 0], camera: [1, 2, 3, 4, 5, 6] });
-  assert.deepEqual(m.readHash("#mode=x&threshold=256&camera=1,2,NaN,4,5,6"), { mode: null, query: "", threshold: null, hidden: [], camera: null });
+  assert.deepEqual(back, { mode: "objects", query: "red chair", threshold: 77, hidden: [2, 0], camera: [1, 2, 3, 4, 5, 6], cut: true });
+  assert.deepEqual(m.readHash("#mode=x&threshold=256&camera=1,2,NaN,4,5,6"), { mode: null, query: "", threshold: null, hidden: [], camera: null, cut: true });
+  assert.equal(m.readHash("#cut=0").cut, false);
   // Round numbers.
   assert.deepEqual(m.ticks(0, 1, false, 5).map((v) => Math.round(10 * v)), [0, 2, 4, 6, 8, 10]);
   assert.deepEqual(m.ticks(0.4, 30, true), [0.5, 1, 2, 5, 10, 20]);
+  // No two ticks have the same text, which says where they are.
+  const ranges = [[0.99998, 1.00002], [1e6, 1e6 + 1], [-1e6 - 1, -1e6], [-0.31, -0.29], [99, 101], [0, 3e-7], [1e12, 1e12 + 1], [0.95, 1.05]];
+  for (const [low, high] of ranges) {
+    const at = m.ticks(low, high, false);
+    const said = m.labels(at, m.digits);
+    assert.ok(said.length >= 4 && said.every((s, i) => s !== said[i + 1]), said.join(" "));
+    said.forEach((s, i) => near(Number(s), at[i], 0.01 * (at[1] - at[0])));
+  }
+  for (const text of [m.seconds, (v, most) => m.bytes(1e6 * v, most), (v, most) => `${m.digits(100 * v, most)} %`]) {
+    for (const [low, high] of [[7000, 7001], [0.02, 0.0201], [119.9, 120.1]]) {
+      const said = m.labels(m.ticks(low, high, false), text);
+      assert.ok(said.every((s, i) => s !== said[i + 1]), said.join(" | "));
+    }
+  }
   assert.deepEqual([m.seconds(0.0004), m.seconds(0.02), m.seconds(90), m.seconds(300), m.bytes(5e6)], ["400 µs", "20 ms", "90 s", "5 min", "5 MB"]);
 }
 

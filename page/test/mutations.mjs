@@ -27,6 +27,17 @@ const BUGS = [
     "...[1, 2, 3, 0].map((k) => rotationOf(data, i)[k]),"],
   ["rows are those of the page", "exporting.ts", "data.rows.length > 0 ? data.rows[i] : i", "i"],
   ["hidden classes stay", "colors.ts", "shown.hidden.forEach((h) => (opaque[h] = 0));", ""],
+  ["near walls stay", "room.ts", "sides[i] |= 1 << s;", ""],
+  ["far walls are cut away", "room.ts", "way < 0 ? box.low[axis] - p[axis]", "way > 0 ? box.low[axis] - p[axis]"],
+  ["walls are cut away from inside, too", "room.ts", "beyond(room, s, at) > 0", "beyond(room, s, at) > -10"],
+  ["what stands at a wall is cut away with it", "room.ts", "!labeled || isKind(c.name, kinds)", "true"],
+  ["walls lie along the axes", "room.ts", "if (area < least) [best", "if (area < 0) [best"],
+  ["scenes lie as their file has them", "room.ts", "row[c] * metresPerUnit", "row[c]"],
+  ["a lone object has walls", "room.ts", "|| cornersOf(box, inside) < LEAST_CORNERS", ""],
+  ["the first view is cropped", "room.ts", "(FILLED * slopes[0]) - ahead", "(FILLED * slopes[0])"],
+  ["what is cut away is drawn", "colors.ts", "out[4 * i + 3] = 0;", ";"],
+  ["the building comes first", "classes.ts", "building[a] - building[b] ||", ""],
+  ["a wall clock is a wall", "classes.ts", ".at(-1) ??", ".at(0) ??"],
   ["a camera that is none is believed", "hash.ts", "camera.length === 6 && camera.every(Number.isFinite)", "camera.length === 6"],
 ];
 

@@ -7,6 +7,7 @@ import { existsSync, mkdirSync, readFileSync } from "node:fs";
 import { resolve } from "node:path";
 import { pathToFileURL } from "node:url";
 import { chromium, launch, open, percentiles, pixels, ready, seen, settled } from "./browser.mjs";
+import { controls } from "./controls.mjs";
 import { large } from "./large.mjs";
 import { reports } from "./reports.mjs";
 import { served } from "./served.mjs";
@@ -38,7 +39,6 @@ try {
     assert.ok(drawn > 0.15, `the picture is blank: ${drawn}`);
     await settled(page);
     assert.match(await text(page, "count"), /Gaussians/);
-    await shot(page, "labels");
 
     // A typed query: what the program says is selected is selected, and has the colors of heat.
     await page.type("#query", "chair");
@@ -137,18 +137,7 @@ try {
     assert.deepEqual(again.bad, []);
     await again.page.close();
   }
-  {
-    // On a phone.
-    const { page, bad } = await open(browser, url("room.html"), { width: 390, height: 780, mobile: true });
-    await ready(page);
-    await settled(page);
-    await shot(page, "phone");
-    const wide = await page.evaluate(() => document.documentElement.scrollWidth);
-    assert.ok(wide <= 390, `${wide} pixels wide`);
-    assert.ok((await pixels(page, [])).drawn > 0.1, "blank on a phone");
-    assert.deepEqual(bad, []);
-    await page.close();
-  }
+  await controls(browser, url, shot);
   {
     // Names that would be markup, a class of a megabyte, emoji: text, and nothing runs.
     const { page, bad } = await open(browser, url("hostile.html"));

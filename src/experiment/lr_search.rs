@@ -5,7 +5,7 @@ use super::error::ExperimentError;
 use super::measured::with_measured_effects;
 use super::module::{Opened, Work, optimizer};
 use crate::page_kit::drawing::{Anchor, Color, Drawing};
-use crate::page_kit::scale::Scale;
+use crate::page_kit::scale::{Scale, labels};
 use crate::preview::write_png;
 use candle_core::Device;
 use scenesplat_datasets::TrainBatch;
@@ -101,9 +101,10 @@ fn drawn(curve: &LrCurve) -> Drawing {
         None => "loss by learning rate; it does not fall".to_owned(),
     };
     d.text([14.0, 12.0], 2, INK, Anchor::Start, &title);
-    for tick in y.ticks() {
+    let ticks = y.ticks();
+    for (&tick, label) in ticks.iter().zip(labels(&ticks)) {
         d.line([left, y.at(tick)], [end, y.at(tick)], 1.0, FRAME);
-        d.text([left - 6.0, y.at(tick) - 4.0], 1, INK, Anchor::End, &format!("{tick:.3}"));
+        d.text([left - 6.0, y.at(tick) - 4.0], 1, INK, Anchor::End, &label);
     }
     for tick in x.ticks() {
         d.line([x.at(tick), top], [x.at(tick), base], 1.0, FRAME);

@@ -16,6 +16,7 @@ mod measured;
 mod module;
 mod record;
 mod run;
+pub mod sweep;
 pub mod teacher;
 mod trial;
 

@@ -17,7 +17,7 @@ use scenesplat_scene::FolderLock;
 use scenesplat_trainers::callbacks::{JsonLines, TensorBoard, read_json_lines, write_csv};
 use scenesplat_trainers::checkpoint::newest_checkpoint;
 use scenesplat_trainers::{
-    Alone, Callback, Collective, DataModule, Identity, Progress, Trainer, TrainerConfig,
+    Alone, Callback, Collective, Criterion, DataModule, Identity, Progress, Trainer, TrainerConfig,
     TrainingModule,
 };
 use std::cell::RefCell;
@@ -139,7 +139,7 @@ pub fn train_with(
     let mut remarks = opened.remarks;
     let curves = options.out.join("curves.png");
     if leads {
-        draw_curves(&options.out, &curves)?;
+        draw_curves(&options.out, &curves, config.trainer.checkpoint.best.as_ref())?;
     }
     remarks.extend(more);
     remarks.extend(opened.teacher.and_then(|teacher| teacher.record.remark()));
@@ -157,12 +157,12 @@ fn to_resume(options: &RunOptions, checkpoints: &Path) -> Result<Option<PathBuf>
 }
 
 /// Writes what was logged as a picture, as a page beside it, and as a table.
-fn draw_curves(out: &Path, curves: &Path) -> Result<()> {
+fn draw_curves(out: &Path, curves: &Path, selected: Option<&Criterion>) -> Result<()> {
     let log = read_json_lines(&out.join("metrics.jsonl"))?;
     if !log.is_empty() {
         let title = out.file_name().map_or("run".into(), |n| n.to_string_lossy());
-        write_curves(&log, &title, curves)?;
-        write_curves_page(&log, &title, &curves.with_extension("html"))?;
+        write_curves(&log, selected, &title, curves)?;
+        write_curves_page(&log, selected, &title, &curves.with_extension("html"))?;
         write_csv(&log, &out.join("metrics.csv"))?;
     }
     Ok(())

@@ -125,7 +125,7 @@ fn draw_views(picture: &mut RgbPicture, scene: &GaussianScene, seen: &Inspection
     // Bounds are those of the centers; where there are few, the Gaussians themselves reach far out.
     let reach = if scene.len() < FEW { middle_radius(rows.radius) } else { 0.0 };
     let (low, high) = (bounds.low.map(|v| v - reach), bounds.high.map(|v| v + reach));
-    let views = LevelViews::new(&rows, seen.up.direction, low, high);
+    let views = LevelViews::new(rows, seen.up.direction, low, high);
     for (i, from) in (0..).zip([Viewpoint::Front, Viewpoint::Right, Viewpoint::Above]) {
         views.draw(picture, from, EDGE + i * (VIEW + EDGE), TITLE_HEIGHT, VIEW);
     }

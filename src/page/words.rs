@@ -5,7 +5,7 @@ use rayon::prelude::*;
 use scenesplat_rooms::Group;
 use scenesplat_rooms::{CLASSES, ColorName, Vocabulary};
 use scenesplat_scene::Asset;
-use scenesplat_text::{PhraseTable, foreign_names};
+use scenesplat_text::{PhraseTable, foreign_names, is_other_thing, purposes};
 use serde_json::{Value, json};
 
 /// Classes that are noted of a phrase.
@@ -26,7 +26,15 @@ pub fn near_classes() -> &'static Asset {
 /// # Errors
 /// If the phrase table is broken.
 pub fn classes_near_phrases() -> Result<Vec<u8>, PageError> {
-    near_of(CLASSES.len(), &class_anchors(PhraseTable::embedded()?))
+    let table = PhraseTable::embedded()?;
+    let mut near = near_of(CLASSES.len(), &class_anchors(table))?;
+    // A kettle is like a stove in words alone.
+    for (phrase, near) in table.phrases().iter().zip(near.chunks_exact_mut(2 * NEAR)) {
+        if is_other_thing(phrase) {
+            near.fill(0);
+        }
+    }
+    Ok(near)
 }
 
 /// Names and synonyms of the vocabulary with their classes.
@@ -67,7 +75,7 @@ pub(super) struct Words {
     pub(super) phrases: &'static str,
     /// Of each phrase four times: class + 1, similarity · 255.
     pub(super) near: Vec<u8>,
-    /// Name and members of each group of classes.
+    /// Name and members of each group of classes, and what each group or class is for.
     pub(super) groups: Vec<Value>,
     /// Words for colors that can stand before a class.
     pub(super) colors: Vec<&'static str>,
@@ -104,6 +112,14 @@ impl Words {
                     json!({ "name": format!("{group:?}").to_lowercase(), "members": members }),
                 );
             }
+            for (text, patterns) in purposes() {
+                // An empty text: no class serves these.
+                let members: Vec<usize> = match Vocabulary::named(text) {
+                    Ok(named) => named.classes().into_iter().map(|class| class.index()).collect(),
+                    Err(_) => Vec::new(),
+                };
+                groups.push(json!({ "name": text, "members": members, "purposes": patterns }));
+            }
             colors = ColorName::ALL.iter().map(|c| c.word()).collect();
             let (articles, named) = foreign_names();
             let named = named.into_iter().map(|(name, class)| (name, class.index()));
@@ -126,6 +142,15 @@ mod tests {
             assert_eq!(names[found.1], class, "{name}");
         }
         assert!(words.foreign.0.contains(&"der"));
+        let sit = words
+            .groups
+            .iter()
+            .find(|g| g["purposes"][0].as_str().is_some_and(|p| p.starts_with("sit")));
+        let sit = sit.unwrap()["members"].as_array().unwrap().iter();
+        let seats: Vec<&str> = sit.map(|m| names[m.as_u64().unwrap() as usize].as_str()).collect();
+        assert_eq!(seats, ["chair", "stool", "sofa"]);
+        let kettle = words.phrases.lines().position(|phrase| phrase == "kettle").unwrap();
+        assert_eq!(words.near[2 * NEAR * kettle..][..2 * NEAR], [0; 2 * NEAR]);
         // Classes of somebody else have no names but their own.
         let other = Words::of(&names, None).unwrap();
         assert!(other.foreign.1.is_empty());

@@ -23,7 +23,12 @@ impl Scale {
             let room = ((high / low).ln() * 0.08).max(0.25).exp();
             return Self { low: low / room, high: high * room, logarithmic: true, pixels };
         }
-        let room = ((high - low) * 0.08).max(high.abs() * 0.01).max(1e-6);
+        let size = low.abs().max(high.abs());
+        let room = match high > low {
+            // Marks stay apart in 64 bits.
+            true => ((high - low) * 0.08).max(size * 1e-12),
+            false => (size * 0.01).max(1e-6),
+        };
         Self { low: low - room, high: high + room, logarithmic: false, pixels }
     }
 
@@ -64,6 +69,41 @@ impl Scale {
     }
 }
 
+/// Texts of [`Scale::ticks`], with the digits that their distance asks for: no two are the same. What takes more than
+/// seven letters stands in powers of ten where that is shorter.
+pub fn labels(ticks: &[f64]) -> Vec<String> {
+    let gaps = ticks.windows(2).map(|two| two[1] - two[0]);
+    let gap = gaps.fold(f64::INFINITY, f64::min);
+    if gap == f64::INFINITY {
+        return ticks.iter().map(f64::to_string).collect();
+    }
+    let power = |value: f64| (value.log10() + 1e-6).floor() as i32;
+    let longest = |texts: &[String]| texts.iter().map(String::len).max().unwrap_or(0);
+    let places = usize::try_from(-power(gap)).unwrap_or(0);
+    let plain: Vec<String> = ticks.iter().map(|tick| format!("{tick:.places$}")).collect();
+    if longest(&plain) <= 7 {
+        return plain;
+    }
+    let size = ticks.iter().map(|tick| tick.abs()).fold(gap, f64::max);
+    let digits = usize::try_from(power(size) - power(gap)).unwrap_or(0);
+    let powers: Vec<String> = ticks.iter().map(|tick| in_powers(*tick, digits)).collect();
+    if longest(&powers) < longest(&plain) { powers } else { plain }
+}
+
+/// A number such as `1.5e-6`, of so many digits behind the point at most.
+fn in_powers(value: f64, digits: usize) -> String {
+    if value == 0.0 {
+        return "0".to_owned();
+    }
+    let text = format!("{value:.digits$e}");
+    match text.split_once('e') {
+        Some((number, power)) if number.contains('.') => {
+            format!("{}e{power}", number.trim_end_matches('0').trim_end_matches('.'))
+        }
+        _ => text,
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -84,5 +124,49 @@ mod tests {
             assert!(!same.ticks().is_empty() && same.at(same.ticks()[0]).is_finite(), "{same:?}");
         }
         assert_eq!(Scale::over(&[], true, [0.0, 1.0]).at(0.5), 0.5);
+    }
+
+    #[test]
+    fn no_two_marks_have_the_same_text() {
+        let ranges = [
+            [0.99998, 1.00002],
+            [1.0, 1.0 + 1e-5],
+            [1e6, 1e6 + 1.0],
+            [-1e6 - 1.0, -1e6],
+            [-0.31, -0.29],
+            [-2.0, 3.0],
+            [99.0, 101.0],
+            [0.0, 3.0],
+            [0.0, 1.5e6],
+            [0.0, 3e-7],
+            [1e-7, 1.00001e-7],
+            [1e12, 1e12 + 0.01],
+            [4.0, 4.0 + 4.0 * f64::EPSILON],
+            [0.3, 0.3],
+            [0.0, 0.0],
+            [-1e6, -1e6],
+            [1e-5, 1e-5],
+            [7e30, 7e30],
+        ];
+        for range in ranges {
+            let ticks = Scale::over(&range, false, [0.0, 1.0]).ticks();
+            let texts = labels(&ticks);
+            assert!((4..=9).contains(&texts.len()), "{range:?}: {texts:?}");
+            for (i, two) in texts.windows(2).enumerate() {
+                assert_ne!(two[0], two[1], "{range:?}: {texts:?}");
+                // What is printed is the place of the mark, to a hundredth of their distance.
+                let (said, gap) = (two[0].parse::<f64>().unwrap(), ticks[i + 1] - ticks[i]);
+                assert!((said - ticks[i]).abs() < 0.01 * gap, "{range:?}: {texts:?} {ticks:?}");
+            }
+        }
+        let of = |range: [f64; 2]| labels(&Scale::over(&range, false, [0.0, 1.0]).ticks());
+        assert_eq!(of([0.99998, 1.00002])[..2], ["0.99998", "0.99999"]);
+        assert_eq!(of([0.0, 1e5])[..3], ["0", "20000", "40000"]);
+        assert_eq!(of([0.0, 1e9])[..3], ["0", "2e8", "4e8"]);
+        assert_eq!(of([1e6, 1e6 + 1.0])[..2], ["1000000.0", "1000000.2"]);
+        // On a logarithmic axis they are as far apart as the least two.
+        let decades = labels(&Scale::over(&[0.001, 2.0], true, [0.0, 1.0]).ticks());
+        assert_eq!(decades[..2], ["0.001", "0.010"]);
+        assert_eq!(labels(&[0.25]), ["0.25"]);
     }
 }

@@ -22,9 +22,16 @@ pub(super) struct Lens {
     pub(super) is_perspective: bool,
     /// Extent of what is shown, meters.
     pub(super) size: f64,
+    /// What is nearer, meters, is not shown.
+    pub(super) near: f64,
 }
 
 impl Lens {
+    /// Depth from which on something is drawn. Nothing directly before the camera: it would hide everything.
+    pub(super) fn least_depth(&self) -> f64 {
+        self.near.max(0.02 * self.size)
+    }
+
     /// Meters that a pixel covers, where that is one number.
     pub(super) fn metres_per_pixel(&self, view: u32) -> Option<f64> {
         let metres = 2.0 / (self.scale * f64::from(view));
@@ -36,8 +43,7 @@ impl Lens {
         let offset: [f64; 3] = std::array::from_fn(|a| f64::from(p[a]) - self.eye[a]);
         let [x, y, depth] =
             self.axes.map(|a| a[0] * offset[0] + a[1] * offset[1] + a[2] * offset[2]);
-        // Nothing directly before the camera: it would hide everything.
-        if depth.is_nan() || depth <= 0.02 * self.size {
+        if depth.is_nan() || depth <= self.least_depth() {
             return None;
         }
         let scale = if self.is_perspective { self.scale / depth } else { self.scale };

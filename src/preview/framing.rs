@@ -1,6 +1,7 @@
 //! Where the cameras stand and what they show.
 
 use super::discs::{Disc, Lens};
+use super::walls::SurroundingWalls;
 use scenesplat_scene::Up;
 use scenesplat_scene::quantile::quantile;
 
@@ -51,12 +52,30 @@ pub(super) struct Framing {
     /// The same limits before walls and ceiling were cut away.
     uncut_low: [f64; 3],
     uncut_high: [f64; 3],
-    is_cut_open: bool,
+    /// Of a room that may be cut open.
+    room: Option<Room>,
     /// Some of the centers that are drawn, for aiming the camera.
     sample: Vec<[f64; 3]>,
     /// Space around centers, meters.
     border: f64,
 }
+
+/// What encloses a room.
+struct Room {
+    has_ceiling: bool,
+    walls: SurroundingWalls,
+    /// Where the wall at the high side of the first axis begins, if there is one.
+    right: Option<f64>,
+}
+
+/// Where the perspective view of a preview looks to, level, from the side of low x and y.
+const AZIMUTH: f64 = 60.0;
+
+/// What is lower, meters, is no room without a ceiling.
+pub(super) const LOWEST_ROOM: f64 = 1.8;
+
+/// Part of the radius, before the middle, that the near walls of a room are cut away up to.
+pub(super) const CUT_SHARE: f64 = 0.3;
 
 /// Most centers that aim the camera.
 const SAMPLE: usize = 5000;
@@ -72,6 +91,10 @@ const FRINGE: f64 = 0.001;
 
 /// Cells per side in which the coverage of a wall or ceiling is counted.
 const CELLS: usize = 24;
+
+/// A layer of it is a part of a wall when so many are; and the thickest wall, in heights of the room.
+const FACE_COVER: f64 = 0.4;
+const THICKEST: f64 = 0.25;
 
 /// A side of the box counts as a wall when so many of its cells are covered.
 const WALL_COVER: f64 = 0.6;
@@ -89,7 +112,7 @@ impl Framing {
             draw_high: high.map(|v| v + REACH * largest),
             uncut_low: low.map(|v| v - REACH * largest),
             uncut_high: high.map(|v| v + REACH * largest),
-            is_cut_open: false,
+            room: None,
             sample: Vec::new(),
             border,
         };
@@ -114,46 +137,86 @@ impl Framing {
         (self.low, self.high)
     }
 
+    /// Whether the perspective view leaves something out to look into a room.
     pub(super) fn is_cut_open(&self) -> bool {
-        self.is_cut_open
+        self.cut_sides() != ([None; 3], [None; 3]) || self.is_cut_open_for(&[AZIMUTH])
+    }
+
+    /// The same for cameras that look to these azimuths, degrees: a closed room is cut open for any, one without a ceiling
+    /// if its walls stand before most of them.
+    pub(super) fn is_cut_open_for(&self, azimuths: &[f64]) -> bool {
+        let Some(Room { has_ceiling, walls, .. }) = &self.room else { return false };
+        let hidden = azimuths.iter().filter(|azimuth| walls.hide_from(**azimuth)).count();
+        *has_ceiling || 2 * hidden > azimuths.len()
     }
 
     /// Limits of what is drawn at the low and high side of each axis, where a wall or ceiling is cut
     /// away there.
     pub(super) fn cut_sides(&self) -> ([Option<f64>; 3], [Option<f64>; 3]) {
-        let cut = |draw: f64, limit: f64| (self.is_cut_open && draw != limit).then_some(draw);
+        let cut = |draw: f64, limit: f64| (draw != limit).then_some(draw);
         (
             [0, 1, 2].map(|a| cut(self.draw_low[a], self.uncut_low[a])),
             [0, 1, 2].map(|a| cut(self.draw_high[a], self.uncut_high[a])),
         )
     }
 
+    /// Where the wall at the high side of the first axis begins, if there is one.
+    pub(super) fn right_wall(&self) -> Option<f64> {
+        self.room.as_ref()?.right
+    }
+
     pub(super) fn shows(&self, p: [f32; 3]) -> bool {
         (0..3).all(|a| (self.draw_low[a]..=self.draw_high[a]).contains(&f64::from(p[a])))
     }
 
-    /// Moves the limits of what is drawn inside the ceiling and the walls toward the camera, if
-    /// there are such on both sides.
+    /// Moves the limits of what is drawn inside the ceiling and the walls toward the camera, if this is a room: with a floor
+    /// and a ceiling, or with walls around a middle that is open above.
     fn cut_open(&mut self, discs: &[Disc]) {
-        let ceiling = self.covers(discs, 2, true) && self.covers(discs, 2, false);
-        if !ceiling {
+        if !self.covers(discs, 2, false) {
             return;
         }
-        self.is_cut_open = true;
+        let walls = SurroundingWalls::of(discs, self.low, self.high);
+        let has_ceiling = self.covers(discs, 2, true);
+        let is_high = self.high[2] - self.low[2] > LOWEST_ROOM;
+        if !has_ceiling && !(is_high && walls.is_open_above()) {
+            return;
+        }
         let extent = [0, 1, 2].map(|a| self.high[a] - self.low[a]);
+        let right =
+            self.covers(discs, 0, true).then(|| self.high[0] - self.thickness(discs, 0, true));
         for axis in [0, 1] {
-            if self.covers(discs, axis, false) && self.covers(discs, axis, true) {
-                self.draw_low[axis] = self.low[axis] + 0.08 * extent[2];
+            if self.covers(discs, axis, false) {
+                self.draw_low[axis] = self.low[axis] + self.thickness(discs, axis, false);
             }
         }
-        self.draw_high[2] = self.high[2] - 0.12 * extent[2];
+        self.room = Some(Room { has_ceiling, walls, right });
+        if has_ceiling {
+            self.draw_high[2] = self.high[2] - 0.12 * extent[2];
+        }
     }
 
     /// Whether one side of the box is mostly covered by discs near it: of the cells of its
     /// rectangle that anything in the scene projects to, for level sides; of all, for upright ones.
     fn covers(&self, discs: &[Disc], axis: usize, at_high: bool) -> bool {
-        let [u, v] = [[1, 2], [0, 2], [0, 1]][axis];
         let depth = 0.06 * (self.high[axis] - self.low[axis]);
+        self.cover(discs, axis, at_high, [f64::NEG_INFINITY, depth]) >= WALL_COVER
+    }
+
+    /// How deep a wall at one side of the box is: its inner face may be as closed as the outer one.
+    fn thickness(&self, discs: &[Disc], axis: usize, at_high: bool) -> f64 {
+        let height = self.high[2] - self.low[2];
+        let (mut depth, step) = (0.08 * height, 0.04 * height);
+        while depth < THICKEST * height
+            && self.cover(discs, axis, at_high, [depth, depth + step]) >= FACE_COVER
+        {
+            depth += step;
+        }
+        depth
+    }
+
+    /// How much of one side of the box is covered by discs in a layer of these depths, 0..=1.
+    fn cover(&self, discs: &[Disc], axis: usize, at_high: bool, layer: [f64; 2]) -> f64 {
+        let [u, v] = [[1, 2], [0, 2], [0, 1]][axis];
         let cell = |p: f32, a: usize| {
             let share = (f64::from(p) - self.low[a]) / (self.high[a] - self.low[a]);
             (0.0..1.0).contains(&share).then_some((share * CELLS as f64) as usize)
@@ -164,20 +227,19 @@ impl Framing {
             let [Some(i), Some(j)] = [u, v].map(|a| cell(disc.centre[a], a)) else { continue };
             any[i * CELLS + j] = true;
             let p = f64::from(disc.centre[axis]);
-            let near =
-                if at_high { p > self.high[axis] - depth } else { p < self.low[axis] + depth };
-            side[i * CELLS + j] |= near;
+            let depth = if at_high { self.high[axis] - p } else { p - self.low[axis] };
+            side[i * CELLS + j] |= (layer[0]..layer[1]).contains(&depth);
         }
         let count = |cells: &[bool]| cells.iter().filter(|&&c| c).count() as f64;
         let whole = if axis == 2 { count(&any) } else { (CELLS * CELLS) as f64 };
-        whole >= 0.2 * (CELLS * CELLS) as f64 && count(&side) >= WALL_COVER * whole
+        if whole >= 0.2 * (CELLS * CELLS) as f64 { count(&side) / whole } else { 0.0 }
     }
 
     /// A camera that looks down at the box from the side of low x and y.
     pub(super) fn perspective(&self) -> Lens {
         // Rooms are shown more steeply than objects.
-        let elevation = if self.is_cut_open { 50.0_f64 } else { 35.0 }.to_radians();
-        let azimuth = 60.0_f64.to_radians();
+        let elevation = if self.is_cut_open() { 50.0_f64 } else { 35.0 }.to_radians();
+        let azimuth = AZIMUTH.to_radians();
         let forward =
             [elevation.cos() * azimuth.cos(), elevation.cos() * azimuth.sin(), -elevation.sin()];
         let right = [azimuth.sin(), -azimuth.cos(), 0.0];
@@ -218,6 +280,20 @@ impl Framing {
             scale: 1.0 / half_view,
             is_perspective: true,
             size: self.size(),
+            near: self.near(distance),
+        }
+    }
+
+    /// Depth from which on the perspective view shows something: behind near walls that are no sides of the box, such as
+    /// those of a room that is turned.
+    fn near(&self, distance: f64) -> f64 {
+        let (low, _) = self.cut_sides();
+        let is_cut = low[0].is_some() && low[1].is_some();
+        let walls = self.room.as_ref().filter(|_| !is_cut);
+        let radius = (0..3).map(|a| (self.high[a] - self.low[a]).powi(2)).sum::<f64>().sqrt() / 2.0;
+        match walls {
+            Some(room) if room.walls.hide_from(AZIMUTH) => distance - CUT_SHARE * radius,
+            _ => 0.0,
         }
     }
 
@@ -231,6 +307,7 @@ impl Framing {
             scale: 0.97 / half,
             is_perspective: false,
             size: self.size(),
+            near: 0.0,
         }
     }
 

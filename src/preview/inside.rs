@@ -1,10 +1,9 @@
 //! Views from inside a scene, for scans that were taken there.
 
-use super::LookAt;
 use super::framing::{Framing, Upright};
 use super::rows::{PreviewRows, visible_discs};
 use scenesplat_kernels::neighbors::KdTree;
-use scenesplat_scene::{Camera, Up};
+use scenesplat_scene::{Camera, LookAt, Up};
 
 /// Places along each level axis that are tried.
 const PLACES: usize = 17;

@@ -2,7 +2,9 @@
 
 use super::discs::Lens;
 use super::{FAINT_INK, INK, MARGIN, text};
+use scenesplat_objects::is_building;
 use scenesplat_scene::picture::RgbPicture;
+use std::cmp::Reverse;
 
 /// One class of the legend.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -11,7 +13,7 @@ pub struct LegendEntry {
     pub name: String,
     /// Its color in the picture.
     pub color: [u8; 3],
-    /// Number of its Gaussians; the legend is sorted by it.
+    /// Number of its Gaussians; the legend is sorted by it, parts of the building last.
     pub count: u64,
 }
 
@@ -47,7 +49,7 @@ pub(super) fn draw_scale_bar(
 
 pub(super) fn draw_legend(picture: &mut RgbPicture, left: u32, top: u32, legend: &[LegendEntry]) {
     let mut sorted: Vec<&LegendEntry> = legend.iter().collect();
-    sorted.sort_by(|a, b| b.count.cmp(&a.count).then_with(|| a.name.cmp(&b.name)));
+    sorted.sort_by_key(|entry| (is_building(&entry.name), Reverse(entry.count), &entry.name));
     let room = (picture.height().saturating_sub(top + MARGIN)) / 22;
     // The last line is kept for the number of classes left out.
     let lines = if sorted.len() > LEGEND_ROWS.min(room as usize) {

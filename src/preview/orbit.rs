@@ -1,7 +1,6 @@
 //! Cameras around a scene without cameras.
 
-use super::framing::{Framing, Upright};
-use super::look_at::pinhole;
+use super::framing::{CUT_SHARE, Framing, Upright};
 use super::rows::{PreviewRows, visible_discs};
 use scenesplat_scene::{Camera, Up};
 
@@ -10,7 +9,7 @@ use scenesplat_scene::{Camera, Up};
 pub struct Orbit {
     /// Evenly around the scene, all aimed at its middle.
     pub cameras: Vec<Camera>,
-    /// For a closed room: the depth at which its near walls end, units of the scene.
+    /// For a room: the depth at which its near walls end, units of the scene.
     pub near: Option<f64>,
     /// For a closed room: the ceiling.
     pub ceiling: Option<Ceiling>,
@@ -30,18 +29,18 @@ impl Ceiling {
     }
 }
 
-/// Half of the narrower angle of view.
-const HALF_VIEW: f64 = 20.0;
-/// Part of the radius, before the middle, that a closed room is cut away up to.
-const OPEN_SHARE: f64 = 0.3;
+/// The narrower angle of view, degrees.
+const FOV: f64 = 40.0;
+/// Azimuth that the first camera looks to, degrees.
+const FIRST: f64 = 60.0;
 
 impl Orbit {
     /// `count` cameras of `size` pixels around the Gaussians that matter: the faintest
     /// and the outermost 2 % of each axis do not, so that no outlier sets the distance. The first
     /// looks from low x and y, the others follow against the clock as seen from above.
     ///
-    /// Objects are looked at from 25° above the horizon; closed rooms from 45°, with the ceiling
-    /// and the walls before the camera left out.
+    /// Objects are looked at from 25° above the horizon; rooms from 45°, with the ceiling and the walls before the cameras
+    /// left out. A room without a ceiling is one if walls stand before most of the cameras.
     pub fn around(rows: &PreviewRows<'_>, up: Up, count: usize, size: [u32; 2]) -> Self {
         let upright = Upright::new(up);
         let discs = visible_discs(rows, upright);
@@ -50,24 +49,27 @@ impl Orbit {
         let middle = [0, 1, 2].map(|a| (low[a] + high[a]) / 2.0);
         let diagonal = (0..3).map(|a| (high[a] - low[a]).powi(2)).sum::<f64>().sqrt();
         let radius = diagonal / 2.0;
-        let half_view = HALF_VIEW.to_radians();
+        let half_view = (FOV / 2.0).to_radians();
         let distance = radius / half_view.sin();
-        let elevation = if framing.is_cut_open() { 45.0_f64 } else { 25.0 }.to_radians();
-        let camera = |k: usize| {
-            let azimuth = (60.0 + 360.0 * k as f64 / count as f64).to_radians();
+        let azimuths: Vec<f64> =
+            (0..count).map(|k| FIRST + 360.0 * k as f64 / count as f64).collect();
+        let is_cut_open = framing.is_cut_open_for(&azimuths);
+        let elevation = if is_cut_open { 45.0_f64 } else { 25.0 }.to_radians();
+        let camera = |(k, azimuth): (usize, &f64)| {
+            let azimuth = azimuth.to_radians();
             let (s, c) = azimuth.sin_cos();
             let forward = [elevation.cos() * c, elevation.cos() * s, -elevation.sin()];
             let right = [s, -c, 0.0];
             let down = [-elevation.sin() * c, -elevation.sin() * s, -elevation.cos()];
             let eye = upright.turn_back([0, 1, 2].map(|a| middle[a] - distance * forward[a]));
             let rotation = [right, down, forward].map(|axis| upright.turn_back(axis).into());
-            pinhole(format!("orbit_{k:03}"), size, HALF_VIEW, eye.into(), rotation)
+            Camera::pinhole(format!("orbit_{k:03}"), size, FOV, eye.into(), rotation)
         };
         let (_, cut_high) = framing.cut_sides();
         let ceiling =
             cut_high[2].map(|height| Ceiling { up: upright.turn_back([0.0, 0.0, 1.0]), height });
-        let near = framing.is_cut_open().then_some(distance - OPEN_SHARE * radius);
-        Self { cameras: (0..count).map(camera).collect(), near, ceiling }
+        let near = is_cut_open.then_some(distance - CUT_SHARE * radius);
+        Self { cameras: azimuths.iter().enumerate().map(camera).collect(), near, ceiling }
     }
 }
 

@@ -1,10 +1,10 @@
 //! Level views of a scene: from the front, from the side, from above.
 
 use super::discs::{Canvas, Disc, Lens};
-use super::framing::{Framing, Upright};
+use super::framing::{Framing, LOWEST_ROOM, Upright};
 use super::legend::draw_scale_bar;
-use super::rows::{PreviewRows, visible_discs};
-use super::{FAINT_INK, text};
+use super::rows::{PreviewRows, discs_of, visible_rows};
+use super::{FAINT_INK, splats, text};
 use scenesplat_scene::Up;
 use scenesplat_scene::picture::RgbPicture;
 
@@ -24,9 +24,6 @@ const MARGIN: f64 = 0.06;
 
 const LABEL_GROUND: [u8; 3] = [38, 40, 47];
 
-/// What is lower, meters, is no room, and is not cut open even if its sides are closed.
-const LOWEST_ROOM: f64 = 1.8;
-
 impl Viewpoint {
     /// Its name, and the axes of its picture: to the right, down, forward.
     fn about(self) -> (&'static str, [[f64; 3]; 3]) {
@@ -38,8 +35,11 @@ impl Viewpoint {
     }
 }
 
-/// Discs of a scene, ready for views.
-pub(crate) struct LevelViews {
+/// A scene, ready for views.
+pub(crate) struct LevelViews<'a> {
+    rows: PreviewRows<'a>,
+    /// The rows that are drawn, and each as a disc.
+    kept: Vec<usize>,
     discs: Vec<Disc>,
     upright: Upright,
     framing: Framing,
@@ -47,18 +47,19 @@ pub(crate) struct LevelViews {
     high: [f64; 3],
 }
 
-impl LevelViews {
+impl<'a> LevelViews<'a> {
     /// Prepares views of the box from `low` to `high`, in the axes of the scene.
-    pub(crate) fn new(rows: &PreviewRows<'_>, up: Up, low: [f64; 3], high: [f64; 3]) -> Self {
+    pub(crate) fn new(rows: PreviewRows<'a>, up: Up, low: [f64; 3], high: [f64; 3]) -> Self {
         let upright = Upright::new(up);
         let ends = [low, high].map(|p| upright.turn_exact(p));
         let (low, high) = (
             [0, 1, 2].map(|a| ends[0][a].min(ends[1][a])),
             [0, 1, 2].map(|a| ends[0][a].max(ends[1][a])),
         );
-        let discs = visible_discs(rows, upright);
+        let kept = visible_rows(&rows);
+        let discs = discs_of(&rows, &kept, upright);
         let framing = Framing::of(&discs, true);
-        Self { discs, upright, framing, low, high }
+        Self { rows, kept, discs, upright, framing, low, high }
     }
 
     /// Draws a view into the picture, with a scale bar and the names of its axes.
@@ -75,25 +76,19 @@ impl LevelViews {
         let reach = if largest > 0.0 { MARGIN * largest } else { 1.0 };
         let mut low = self.low.map(|v| v - reach);
         let mut high = self.high.map(|v| v + reach);
-        // The wall or ceiling before the camera is left out where there is one on both sides.
+        // The wall or ceiling before the camera is left out.
         let (cut_low, cut_high) = self.framing.cut_sides();
         let is_room = self.high[2] - self.low[2] > LOWEST_ROOM;
         let is_cut = match from {
             _ if !is_room => None,
             Viewpoint::Front => cut_low[1].inspect(|&v| low[1] = low[1].max(v)),
-            Viewpoint::Right => cut_low[0].inspect(|_| {
-                let depth = cut_low[0].map_or(0.0, |v| v - self.low[0]).max(0.0);
-                high[0] = high[0].min(self.high[0] - depth);
-            }),
+            Viewpoint::Right => self.framing.right_wall().inspect(|&v| high[0] = high[0].min(v)),
             Viewpoint::Above => cut_high[2].inspect(|&v| high[2] = high[2].min(v)),
         }
         .is_some();
-        let shown: Vec<Disc> = self
-            .discs
-            .iter()
-            .copied()
-            .filter(|d| (0..3).all(|a| (low[a]..=high[a]).contains(&f64::from(d.centre[a]))))
-            .collect();
+        let (kept, shown): (Vec<usize>, Vec<Disc>) = (self.kept.iter().zip(&self.discs))
+            .filter(|(_, d)| (0..3).all(|a| (low[a]..=high[a]).contains(&f64::from(d.centre[a]))))
+            .unzip();
         let (name, axes) = from.about();
         let size = (0..3).map(|a| high[a] - low[a]).fold(0.0, f64::max);
         let middle = [0, 1, 2].map(|a| (self.low[a] + self.high[a]) / 2.0);
@@ -103,9 +98,10 @@ impl LevelViews {
             scale: 2.0 / (largest + 2.0 * reach),
             is_perspective: false,
             size,
+            near: 0.0,
         };
         let mut canvas = Canvas::new(view);
-        canvas.draw(&shown, &lens);
+        splats::draw_or_discs(&self.rows, &kept, &shown, self.upright, &lens, &mut canvas);
         canvas.copy_to(picture, left, top);
         // What is drawn reaches under bar, axes and name; they stand on a ground of their own.
         super::fill(picture, [left, top + view - 36], [view / 4 + 20, 36], LABEL_GROUND);

@@ -1,6 +1,6 @@
 //! Gaussians as they are, by the renderer.
 
-use super::discs::{Canvas, Lens};
+use super::discs::{Canvas, Disc, Lens};
 use super::framing::Upright;
 use super::{PreviewRows, SplatShapes};
 use scenesplat_rasterizer::{
@@ -20,8 +20,27 @@ const LARGEST: f64 = 0.5;
 /// Scenes of fewer Gaussians are drawn whole.
 const FEW: usize = 100;
 
+/// Draws rows with their shapes; what has none, or the renderer refuses, such as far too many large Gaussians, as discs: a
+/// picture to look at is no reason to fail.
+pub(super) fn draw_or_discs(
+    rows: &PreviewRows<'_>,
+    kept: &[usize],
+    discs: &[Disc],
+    upright: Upright,
+    lens: &Lens,
+    canvas: &mut Canvas,
+) {
+    let rendered = rows.shapes.map(|shapes| {
+        let gaussians = gather(rows, &shapes, kept, lens.size);
+        draw(&gaussians, shapes.antialiased, upright, lens, canvas)
+    });
+    if !matches!(rendered, Some(Ok(()))) {
+        canvas.draw(discs, lens);
+    }
+}
+
 /// The rows of `kept` with colors of their own.
-pub(super) fn gather(
+fn gather(
     rows: &PreviewRows<'_>,
     shapes: &SplatShapes<'_>,
     kept: &[usize],
@@ -46,7 +65,7 @@ pub(super) fn gather(
 }
 
 /// Draws Gaussians of the scene's own axes onto a canvas; the lens is of the upright ones.
-pub(super) fn draw(
+fn draw(
     gaussians: &Gaussians,
     antialiased: bool,
     upright: Upright,
@@ -78,8 +97,7 @@ pub(super) fn draw(
         width: side as u32,
         height: side as u32,
     };
-    // As for discs: nothing directly before the camera.
-    let near = (step_back + 0.02 * lens.size).max(f64::from(f32::MIN_POSITIVE)) as f32;
+    let near = (step_back + lens.least_depth()).max(f64::from(f32::MIN_POSITIVE)) as f32;
     let settings =
         RasterSettings { near, far: f32::INFINITY, antialiased, ..RasterSettings::gsplat_1_6() };
     let depth = DepthRequest { median: true, ..DepthRequest::default() };

@@ -287,12 +287,19 @@ fn curves_are_a_page_of_the_same_kit() {
                 value,
             };
             let loss = 2.0 / (1.0 + step as f64 / 400.0) + 0.2 * f64::from(noise(step));
-            let quality =
-                (step % 500 == 0).then(|| value("unseen/mIoU", 0.1 + step as f64 / 8000.0));
-            [Some(value(&format!("train/{attack}"), loss)), quality].into_iter().flatten()
+            let mut all = vec![
+                value(&format!("train/{attack}"), loss),
+                value("train/loss", 2.0 * loss),
+                value("train/lr_factor", 1.0),
+            ];
+            if step % 500 == 0 {
+                all.push(value("unseen/oracle/mIoU", 0.99));
+                all.push(value("unseen/mIoU", 0.99 + step as f64 * 1e-8));
+            }
+            all
         })
         .collect();
-    write_curves_page(&log, attack, &folder.join("curves.html")).unwrap();
+    write_curves_page(&log, None, attack, &folder.join("curves.html")).unwrap();
     let page = std::fs::read_to_string(folder.join("curves.html")).unwrap();
     assert_eq!(page.matches("</script").count(), 2);
     assert!(page.contains("default-src 'none'") && !page.contains("unsafe-inline"));

@@ -143,6 +143,13 @@ pub enum TrainError {
         #[source]
         source: candle_core::Error,
     },
+    /// A callback or evaluator of one's own failed.
+    #[error("a callback or an evaluator failed")]
+    Own {
+        /// Why.
+        #[source]
+        source: Box<dyn std::error::Error + Send + Sync>,
+    },
     /// A loss has become NaN or infinite.
     #[error("{term} is {value}: lower the learning rate, clip gradients, or look at the data")]
     NonFiniteLoss {
@@ -347,9 +354,20 @@ impl TrainError {
         move |source| Self::Io { path: path.clone(), action, source }
     }
 
+    /// For `map_err` in callbacks and evaluators of one's own: any error type will do. Errors of candle become this by `?`.
+    pub fn own(error: impl Into<Box<dyn std::error::Error + Send + Sync>>) -> Self {
+        Self::Own { source: error.into() }
+    }
+
     /// For `map_err`: names the parameter of a failed tensor operation.
     pub(crate) fn tensor(name: &str) -> impl Fn(candle_core::Error) -> Self + '_ {
         move |source| Self::Tensor { name: name.to_owned(), source }
+    }
+}
+
+impl From<candle_core::Error> for TrainError {
+    fn from(error: candle_core::Error) -> Self {
+        Self::own(error)
     }
 }
 

@@ -23,9 +23,10 @@ use crate::frame::frame;
 use crate::session::Session;
 use crate::terminal::{captured, forget_warnings};
 use anyhow::Result;
+pub(crate) use flags::parse;
 use flags::{
     AlignFlags, EvaluateFlags, FeatureFlags, InspectFlags, NetworkFlags, ObjectFlags, QueryFlags,
-    SegmentFlags, parse,
+    SegmentFlags,
 };
 use scenesplat::objects::Catalogue;
 use scenesplat::outputs::OpenedScene;

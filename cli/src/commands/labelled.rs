@@ -435,6 +435,21 @@ fn own_classes(classes: &Classes, network: &Network) -> Result<LabelSet> {
 }
 
 impl Labelled {
+    /// The labels alone, as what works on objects takes them.
+    pub fn input(&self, frame: Frame) -> ObjectInput<'_> {
+        ObjectInput {
+            scene: &self.opened.loaded.scene,
+            labels: &self.labels,
+            scores: None,
+            instances: None,
+            features: None,
+            names: &self.names,
+            upright: frame.upright,
+            metres_per_unit: frame.metres_per_unit,
+            floor: frame.floor,
+        }
+    }
+
     /// The objects; `pieces`: even where the scene carries instances.
     pub fn objects(
         &self,
@@ -460,17 +475,9 @@ impl Labelled {
                 sum.iter_mut().zip(values).for_each(|(s, v)| *s += v);
             }
         };
-        let input = ObjectInput {
-            scene,
-            labels: &self.labels,
-            scores: self.scores.as_deref(),
-            instances,
-            features: features.map(|f| (f.width(), &add as _)),
-            names: &self.names,
-            upright: frame.upright,
-            metres_per_unit: frame.metres_per_unit,
-            floor: frame.floor,
-        };
+        let features = features.map(|f| (f.width(), &add as _));
+        let scores = self.scores.as_deref();
+        let input = ObjectInput { scores, instances, features, ..self.input(frame) };
         find_objects(&input, settings).context("no objects can be looked for")
     }
 }

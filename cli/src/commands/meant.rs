@@ -6,8 +6,9 @@ use crate::session::Session;
 use anyhow::Result;
 use scenesplat::objects::Catalogue;
 use scenesplat::objects::relations::related;
-use scenesplat::phrases::{Phrase, PhraseReader, Placed, named_labels};
-use scenesplat::rooms::{CLASSES, Vocabulary};
+use scenesplat::phrases::{Phrase, PhraseReader, Placed, named_labels, shortened};
+use scenesplat::rooms::{CLASSES, ClassId, Vocabulary};
+use scenesplat::scene::label_set::nearest_names;
 use scenesplat::scene::printable_text;
 
 /// Class names that a message lists.
@@ -41,15 +42,17 @@ impl Asking<'_> {
         let Placed { text, what, relation, to, .. } = placed;
         let Some(relation) = *relation else {
             refuse!(
-                "{text:?}: the boxes of objects do not tell {:?}; they tell {}",
-                placed.to_string(),
+                "{:?}: the boxes of objects do not tell {:?}; they tell {}",
+                shortened(text),
+                shortened(&placed.to_string()),
                 relations()
             );
         };
         let what = what.as_deref().map(|what| self.labels_of(what)).transpose()?;
         let to = self.labels_of(to)?;
         let name = what.as_ref().map_or("anything".to_owned(), |what| self.names(what));
-        let why = format!("{text:?} is read as: {name} {relation} {}", self.names(&to));
+        let why =
+            format!("{:?} is read as: {name} {relation} {}", shortened(text), self.names(&to));
         self.session.receipt.setting("relation", relation, &why);
         let is_what = |label| what.as_ref().is_none_or(|what| what.contains(&label));
         Ok(related(self.found, |o| is_what(o.label), relation, |o| to.contains(&o.label)))
@@ -64,11 +67,14 @@ impl Asking<'_> {
         if !self.labels.iter().map(String::as_str).eq(CLASSES.iter().map(|class| class.name)) {
             return self.none(name);
         }
-        let known = PhraseReader::new(None)?.known(name).map_err(ask_error)?;
+        let there = self.found.objects.iter().filter_map(|o| ClassId::ALL.get(o.label).copied());
+        let reader = PhraseReader::new(None)?.among(&there.collect::<Vec<_>>());
+        let known = reader.known(name).map_err(ask_error)?;
         let named = Vocabulary::named(&known.text)?;
         if !named.colors.is_empty() {
             refuse!(
-                "{name:?}: objects are not told by color; leave it out, or `query {:?}` selects its Gaussians",
+                "{:?}: objects are not told by color; leave it out, or `query {:?}` selects its Gaussians",
+                shortened(name),
                 known.text
             );
         }
@@ -91,7 +97,10 @@ impl Asking<'_> {
 
     /// No class has this name.
     fn none<T>(&self, name: &str) -> Result<T> {
-        Err(WrongUse(format!("no object can be a {name:?}; {}", self.there_are())).into())
+        let near = nearest_names(self.labels, name, 1);
+        let near = near.first().map_or(String::new(), |near| format!("did you mean {near:?}? "));
+        let name = shortened(name);
+        Err(WrongUse(format!("no object can be a {name:?}; {near}{}", self.there_are())).into())
     }
 
     /// The classes of the objects.

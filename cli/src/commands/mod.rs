@@ -37,6 +37,7 @@ mod render;
 mod room;
 mod schema;
 mod segment;
+mod serve;
 mod simulate;
 mod text;
 mod train;
@@ -102,6 +103,8 @@ enum Command {
     View(view::Args),
     /// Writes one HTML file that labels scenes in a browser, by itself and offline.
     App(app::Args),
+    /// Answers questions about a scene to a program that speaks the Model Context Protocol.
+    Serve(Box<serve::Args>),
     /// Says what phrases mean to the network inside the program, and writes text embeddings of them.
     Text(text::Args),
     /// Makes language labels of Gaussians from posed pictures: segments, their features, lifting.
@@ -264,6 +267,7 @@ impl Command {
             Self::Objects(args) => objects::run(args, line),
             Self::View(args) => view::run(args, line),
             Self::App(args) => app::run(args, line),
+            Self::Serve(args) => serve::run(args, line),
             Self::Text(args) => text::run(args),
             Self::CollectLabels(args) => collect_labels::run(args, line),
             Self::LiftLabels(args) => lift_labels::run(args, line),

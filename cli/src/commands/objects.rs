@@ -1,5 +1,7 @@
 //! `scenesplat objects`
 
+mod edit;
+
 use super::answer::{certainty, short};
 use super::labelled::{LabelArgs, Labelled};
 use super::meant::Asking;
@@ -10,11 +12,12 @@ use crate::log;
 use crate::session::Session;
 use crate::terminal::print;
 use anyhow::{Context, Result};
+use edit::Edit;
 use scenesplat::object_picture;
 use scenesplat::objects::colliders::{
     ColliderSettings, Colliders, REACH, colliders, colliders_glb,
 };
-use scenesplat::objects::{Catalogue, Floor, Object, ObjectInput, is_kind, table};
+use scenesplat::objects::{Catalogue, Floor, Object, ObjectInput, boxes, is_building, table};
 use scenesplat::preview::write_png;
 use scenesplat::scene::formats::inria_ply::write_inria_ply;
 use scenesplat::scene::{AtomicFile, GaussianScene, printable_text};
@@ -37,6 +40,9 @@ pub struct Args {
     /// Also writes each object as a PLY file into the folder DIR of the output folder.
     #[arg(long, value_name = "DIR")]
     pub export: Option<String>,
+    /// Also writes boxes.json: the boxes in the form of COCO's files, with the 3D fields of Omni3D and ScanNet (docs/objects.md).
+    #[arg(long)]
+    pub boxes: bool,
     /// Also writes colliders.glb, a mesh for each object, floor and walls among them: the surface of the cubes, this wide in
     /// meters, that its Gaussians touch.
     #[arg(
@@ -49,9 +55,12 @@ pub struct Args {
     )]
     pub colliders: Option<f64>,
     /// Also writes edited.ply without the objects of these classes, or that a phrase such as "lamp on the desk" or "not a
-    /// wall" means; comma-separated.
+    /// wall" means, comma-separated; and edited.png, which shows what they leave open.
     #[arg(long, value_name = "NAMES", value_delimiter = ',', conflicts_with = "keep")]
     pub remove: Vec<String>,
+    /// Closes what removed objects leave open in the floor, the walls and the ceiling by copies of the Gaussians beside.
+    #[arg(long, requires = "remove")]
+    pub fill: bool,
     /// Also writes edited.ply with nothing but the objects of these classes or phrases.
     #[arg(long, value_name = "NAMES", value_delimiter = ',')]
     pub keep: Vec<String>,
@@ -82,7 +91,9 @@ pub fn run(args: &Args, line: &str) -> Result<()> {
     let edits = !args.remove.is_empty() || !args.keep.is_empty();
     let mut more = Vec::new();
     more.extend(edits.then_some("edited.ply"));
+    more.extend((!args.remove.is_empty()).then_some("edited.png"));
     more.extend(args.colliders.map(|_| "colliders.glb"));
+    more.extend(args.boxes.then_some("boxes.json"));
     session
         .outputs
         .open_folder(&[&OBJECT_FILES[..], &["objects.md", "objects.png"], &more].concat())?;
@@ -115,15 +126,13 @@ pub fn run(args: &Args, line: &str) -> Result<()> {
     }
     let _stage = session.receipt.stage("write");
     session.write_text("objects.md", &table::markdown(&found))?;
-    if let Some(cell) = args.colliders {
-        write_colliders(&session, &labelled, frame, &found, cell)?;
-    }
+    write_forms(args, &session, &labelled, frame, &found)?;
     let scene = with_instances(&labelled, &found);
     if let Some(folder) = folder {
         export(&session, &scene, &found, folder)?;
     }
     if edits {
-        edit(args, &asking, &scene)?;
+        Edit { args, asking: &asking, labelled: &labelled, frame }.write(&scene)?;
     }
     session.receipt.add_rows_out(scene.len());
     drop(_stage);
@@ -132,10 +141,8 @@ pub fn run(args: &Args, line: &str) -> Result<()> {
 
 /// The largest things, without what the room itself is made of; a line each, and how many more there are.
 fn largest(found: &Catalogue) -> Vec<String> {
-    let is_structure = |object: &Object| {
-        ["wall", "floor", "ceiling"].iter().any(|kind| is_kind(&object.class, kind))
-    };
-    let mut things: Vec<&Object> = found.objects.iter().filter(|o| !is_structure(o)).collect();
+    let mut things: Vec<&Object> =
+        found.objects.iter().filter(|o| !is_building(&o.class)).collect();
     things.sort_by(|a, b| b.volume.total_cmp(&a.volume));
     let more = things.len().saturating_sub(MOST_OBJECTS);
     let line = |o: &&Object| {
@@ -210,6 +217,27 @@ pub fn json(session: &Session<'_>, labelled: &Labelled, found: &Catalogue) -> se
     json
 }
 
+/// Writes the objects in the forms of other programs that are asked for.
+fn write_forms(
+    args: &Args,
+    session: &Session<'_>,
+    labelled: &Labelled,
+    frame: Frame,
+    found: &Catalogue,
+) -> Result<()> {
+    if let Some(cell) = args.colliders {
+        write_colliders(session, labelled, frame, found, cell)?;
+    }
+    if !args.boxes {
+        return Ok(());
+    }
+    let name = labelled.opened.loaded.path.file_name().unwrap_or_default().to_string_lossy();
+    let mut json = boxes::json(found, &labelled.input(frame), &name);
+    json["info"]["labels_from"] = labelled.origin.name().into();
+    json["info"]["warnings"] = session.doubts().into();
+    session.write_text("boxes.json", &serde_json::to_string_pretty(&json)?)
+}
+
 fn parse_cell(text: &str) -> Result<f64, String> {
     let cell = text.parse().ok().filter(|cell| (0.005..=2.0).contains(cell));
     cell.ok_or_else(|| "expected the edge of cubes, 0.005 to 2 meters".to_owned())
@@ -223,18 +251,8 @@ fn write_colliders(
     cell: f64,
 ) -> Result<()> {
     let scene = &labelled.opened.loaded.scene;
-    let input = ObjectInput {
-        scene,
-        labels: &labelled.labels,
-        scores: None,
-        instances: None,
-        features: None,
-        names: &labelled.names,
-        // Cubes lie along the walls.
-        upright: frame.turn,
-        metres_per_unit: frame.metres_per_unit,
-        floor: frame.floor,
-    };
+    // Cubes lie along the walls.
+    let input = ObjectInput { upright: frame.turn, ..labelled.input(frame) };
     let settings = ColliderSettings { cell, ..ColliderSettings::default() };
     let Colliders { hulls, faint, far, cut } = colliders(&input, found, &settings)?;
     let triangles: usize = hulls.iter().map(|hull| hull.triangles.len()).sum();
@@ -316,27 +334,4 @@ fn file_name(class: &str) -> String {
     let name: String = class.chars().take(40).map(safe).collect();
     let name = name.trim_matches('-').to_owned();
     if name.is_empty() { "object".to_owned() } else { name }
-}
-
-fn edit(args: &Args, asking: &Asking<'_>, scene: &GaussianScene) -> Result<()> {
-    let mut chosen = vec![false; scene.len()];
-    for phrase in args.remove.iter().chain(&args.keep) {
-        let places = asking.meant(phrase)?;
-        if places.is_empty() {
-            print(&format!("{phrase:?}: none; {}", asking.there_are()));
-        }
-        for place in places {
-            asking.found.objects[place].rows.iter().for_each(|&row| chosen[row as usize] = true);
-        }
-    }
-    let keeps = !args.keep.is_empty();
-    let rows: Vec<usize> = (0..scene.len()).filter(|&row| chosen[row] == keeps).collect();
-    let left = scene.select_rows(&rows)?;
-    if left.is_empty() {
-        let flag = if keeps { "--keep" } else { "--remove" };
-        refuse!("{flag}: nothing would be left of the scene");
-    }
-    print(&format!("edited.ply: {} of {} Gaussians", left.len(), scene.len()));
-    asking.session.write("edited.ply", |path| write_inria_ply(&left, &[], path))?;
-    Ok(())
 }

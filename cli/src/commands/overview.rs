@@ -18,10 +18,11 @@ const fn row(group: &'static str, path: &'static str, example: &'static str) -> 
 }
 
 /// All commands, in the order in which the help shows them.
-const ROWS: [Row; 37] = [
+const ROWS: [Row; 38] = [
     row("Look", "inspect", "scenesplat inspect scene.ply --json scene.json"),
     row("Look", "view", "scenesplat view room.ply --out room.html"),
     row("Look", "app", "scenesplat app --out scenesplat.html"),
+    row("Look", "serve", "scenesplat serve room.ply --mcp"),
     row("Look", "render", "scenesplat render scene.ply --cameras cameras.json --out pictures"),
     row("Look", "convert", "scenesplat convert scene.ply scene.spz --remove-floaters"),
     row("Label", "demo", "scenesplat demo"),

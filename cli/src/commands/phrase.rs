@@ -3,7 +3,7 @@
 use crate::error::WrongUse;
 use crate::session::Session;
 use scenesplat::objects::relations::Relation;
-use scenesplat::phrases::{AskError, PhraseError, Placed, Reading, Verdict};
+use scenesplat::phrases::{AskError, PhraseError, Placed, Reading, Verdict, shortened};
 
 /// Says and notes that a phrase is taken for a text of the vocabulary; loudly if that is not sure.
 pub fn tell_taken(
@@ -13,9 +13,13 @@ pub fn tell_taken(
     (reading, remark): (Option<&Reading>, &str),
     by: &str,
 ) {
-    let how = reading.map_or(remark.to_owned(), |reading| format!("{reading}; by the {by}"));
+    let how = match reading {
+        None => remark.to_owned(),
+        Some(reading) if reading.purpose.is_some() => reading.to_string(),
+        Some(reading) => format!("{reading}; by the {by}"),
+    };
     session.receipt.setting("taken_for", known, &how);
-    let text = format!("{phrase:?} is taken for {known:?}: {how}");
+    let text = format!("{:?} is taken for {known:?}: {how}", shortened(phrase));
     // A corrected word may have been meant as it stands.
     if reading.is_some_and(|reading| reading.verdict == Verdict::Sure) {
         session.progress.say(text);
@@ -26,20 +30,19 @@ pub fn tell_taken(
 
 /// Says and notes what a phrase that denies is taken for.
 pub fn tell_denied(session: &Session<'_>, phrase: &str, reading: &str, denied: &[String]) {
-    session
-        .progress
-        .say(format!("{phrase:?} is taken for {reading}; what has no label is neither"));
-    session.receipt.setting(
-        "denied",
-        denied.join(", "),
-        &format!("{phrase:?} is read as {reading}"),
-    );
+    let short = shortened(phrase);
+    session.progress.say(format!("{short:?} is taken for {reading}; what has no label is neither"));
+    let how = format!("{short:?} is read as {reading}");
+    session.receipt.setting("denied", denied.join(", "), &how);
 }
 
 /// A phrase that asks for a place, where features are asked.
 pub fn placed_refused(placed: Placed) -> WrongUse {
     let help = match placed.relation {
-        Some(_) => format!("`objects --find {:?}` finds it by the boxes of objects", placed.text),
+        Some(_) => format!(
+            "`objects --find {:?}` finds it by the boxes of objects",
+            shortened(&placed.text)
+        ),
         None => format!("`objects --find` knows {}", relations()),
     };
     WrongUse(format!("{}; {help}", AskError::Placed { placed: Box::new(placed) }))

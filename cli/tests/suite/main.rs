@@ -34,6 +34,7 @@ mod probe;
 mod reconstruct;
 mod render;
 mod room;
+mod serve;
 mod settings;
 mod simulate;
 mod strange;

@@ -2,7 +2,7 @@
 
 use crate::support::*;
 use scenesplat::scene::Similarity;
-use serde_json::Value;
+use serde_json::{Value, json};
 
 /// A room with its labels and instances, and the names of its classes.
 fn world() -> Folder {
@@ -148,6 +148,41 @@ fn boxes_are_level_in_a_room_that_is_not_and_heights_begin_at_a_given_floor() {
     assert_eq!(given["floor"]["given"], true);
     let first = |v: &Value| size(&v["objects"][0], 0);
     assert!((first(&given) * 100.0 - first(&level)).abs() < 0.02);
+}
+
+#[test]
+fn boxes_are_those_of_the_table() {
+    let folder = world();
+    done(&objects(&folder, "room.ply", "out", "--boxes --unit cm"));
+    let out = |name: &str| json(folder.path("out").join(name));
+    let (table, file) = (out("objects.json"), out("boxes.json"));
+    assert_eq!(file["info"]["metres_per_unit"], 0.01);
+    assert_eq!(file["info"]["labels_from"], "scene");
+    assert_eq!(file["images"][0]["file_name"], "room.ply");
+    let names = class_names();
+    assert_eq!(file["categories"].as_array().unwrap().len(), names.len());
+    let (all, boxes) =
+        (table["objects"].as_array().unwrap(), file["annotations"].as_array().unwrap());
+    assert!(all.len() > 10 && all.len() == boxes.len());
+    for (object, found) in all.iter().zip(boxes) {
+        assert_eq!((&found["id"], &found["count"]), (&object["id"], &object["count"]));
+        let category = found["category_id"].as_u64().unwrap() as usize;
+        assert_eq!(
+            (&found["category_name"], object["class"].as_str()),
+            (&object["class"], Some(&*names[category]))
+        );
+        assert_eq!(
+            (&found["bbox3D_scene"], &found["center_scene"]),
+            (&object["box"]["corners"], &object["position"])
+        );
+        let meters: Vec<f64> = serde_json::from_value(found["bbox3D"].clone()).unwrap();
+        assert_eq!(
+            (json!(meters[3..6]), json!(meters[6])),
+            (object["box"]["size"].clone(), object["box"]["yaw"].clone())
+        );
+    }
+    done(&objects(&folder, "room.ply", "other", ""));
+    assert!(!folder.path("other/boxes.json").exists());
 }
 
 /// A browser that asks, and Ctrl-C: `view --serve` says where, gives the page to who knows the address, and ends well.

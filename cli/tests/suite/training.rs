@@ -85,7 +85,41 @@ fn a_run_goes_on_from_its_folder_alone() {
     let said = told(&process(&["train", &run, "--resume"]));
     assert!(said.contains("step 8/8") && !said.contains("step 1/8"), "{said}");
     assert!(weights() == whole, "other bits after a resume from the folder");
-    refused(&run!("train {} --resume", folder.at("nowhere")), 1, &["nowhere"]);
+    refused(
+        &run!("train {} --resume", folder.at("nowhere")),
+        2,
+        &["nowhere", "--resume the folder"],
+    );
+}
+
+#[test]
+fn a_sweep_trains_each_combination_and_compares_them() {
+    let folder = Folder::new();
+    let config = folder.write("experiment.toml", small_segmentation());
+    let (out, alone) = (folder.at("sweep"), folder.at("alone"));
+    let values = "--sweep optimizer.lr=[0.003,1e30]";
+    for (wrong, part) in [
+        ("--sweep optimizer.lr=1", "KEY=[VALUE"),
+        ("--sweep model_seed=[1,2] --seed 3", "leave out one"),
+        ("--sweep model_seed=[1,2] --sweep model_seed=[3]", "swept twice"),
+    ] {
+        refused(&run!("train {config} --out {out} {wrong}"), 2, &[part]);
+    }
+    // All are read before the first begins.
+    refused(&run!("train {config} --out {out} --sweep trainer.epochs=[1,true]"), 1, &["true"]);
+    assert!(!folder.path("sweep").exists());
+    // With such steps numbers become infinite: that training fails, and the other one does not.
+    let swept = run!("train {config} --quiet --out {out} {values}");
+    refused(&swept, 1, &["1 of 2 trainings failed"]);
+    has(&stdout(&swept), &["* ", "optimizer.lr=0.003", "failed"]);
+    done(&run!("train {config} --quiet --out {alone} --set optimizer.lr=0.003"));
+    let weights = |run: &str| bytes(folder.path(run).join("model/model.safetensors"));
+    assert!(weights("sweep/001-lr=0.003") == weights("alone"), "other bits than alone");
+    let table = text(folder.path("sweep/sweep.csv"));
+    let rows: Vec<&str> = table.lines().collect();
+    assert_eq!(rows.len(), 3, "{table}");
+    assert!(rows[1].starts_with("1,\"001-lr=0.003\",\"optimizer.lr=0.003\",8,"), "{table}");
+    assert!(rows[2].starts_with("2,") && rows[2].contains(",failed,,"), "{table}");
 }
 
 /// A tiny student of the network inside the program.

@@ -1,9 +1,9 @@
 //! Objects of a labeled scene of 3D Gaussians: which there are, their boxes and places.
 //!
 //! [`find_objects`] takes labels (and, where there are some, features or known instances) and gives a
-//! [`Catalogue`]; [`table`] writes it as JSON, CSV or Markdown, [`relations`] answers "the lamp on
+//! [`Catalogue`]; [`table`] writes it as JSON, CSV or Markdown, [`boxes`] in COCO's form, [`relations`] answers "the lamp on
 //! the desk", [`agreement`] compares with true instances, [`refine`] lets labels and objects correct each other,
-//! [`colliders`] makes meshes of them.
+//! [`colliders`] makes meshes of them, [`holes`] says what is open where some were removed.
 //!
 //! Everything is geometry on slices: no network, no tensor library, nothing random, and the same
 //! answer for any number of threads. It is only as good as the labels: what a network calls by
@@ -33,11 +33,13 @@
 //! ```
 
 pub mod agreement;
+pub mod boxes;
 mod catalogue;
 mod cells;
 pub mod colliders;
 mod error;
 mod fragments;
+pub mod holes;
 mod input;
 #[cfg(test)]
 mod made;
@@ -59,5 +61,5 @@ pub use input::{AddFeature, ObjectInput};
 pub use panoptic::PanopticQuality;
 pub use refine::{RefineSettings, Refined, refine};
 pub use settings::ObjectSettings;
-pub use surroundings::{Floor, is_kind};
+pub use surroundings::{Floor, is_building, is_kind};
 pub use upright_box::UprightBox;

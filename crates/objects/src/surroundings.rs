@@ -21,6 +21,11 @@ pub fn is_kind(class: &str, kind: &str) -> bool {
     class.eq_ignore_ascii_case(kind) || last.eq_ignore_ascii_case(kind)
 }
 
+/// Whether a class is a part of the building that things stand in: a floor, a wall or a ceiling.
+pub fn is_building(class: &str) -> bool {
+    ["floor", "wall", "ceiling"].iter().any(|kind| is_kind(class, kind))
+}
+
 /// Where the floor is.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub struct Floor {
@@ -95,6 +100,7 @@ mod tests {
             assert!(!is_kind(name, "wall"), "{name}");
         }
         assert!(is_kind("raised floor", "raised floor"));
+        assert!(is_building("RoomWall") && is_building("Ceiling") && !is_building("floor lamp"));
     }
 
     #[test]

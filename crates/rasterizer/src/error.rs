@@ -23,6 +23,19 @@ pub enum RasterError {
         /// The degree.
         degree: u8,
     },
+    /// A camera that looks nowhere.
+    #[error(
+        "a camera at {eye:?} cannot look at {target:?} with an angle of view of {fov} degrees; give another target and an \
+         angle above 0 and below 180"
+    )]
+    LookAt {
+        /// Where it stands.
+        eye: [f64; 3],
+        /// What it looks at.
+        target: [f64; 3],
+        /// Its angle of view, degrees.
+        fov: f64,
+    },
     /// A camera whose lens is not a pinhole.
     #[error(
         "camera {camera:?} has lens distortion ({model}); undistort the pictures and give pinhole \

@@ -1,7 +1,7 @@
 //! A pinhole camera in the numbers the loops use.
 
 use crate::RasterError;
-use scenesplat_scene::{Camera, Distortion};
+use scenesplat_scene::{Camera, Distortion, LookAt, Up};
 
 /// How far `RRᵀ` may be from the identity.
 const ROTATION_TOLERANCE: f32 = 1e-4;
@@ -60,6 +60,20 @@ impl View {
         };
         view.check()?;
         Ok(view)
+    }
+
+    /// The view of a camera that stands somewhere and looks somewhere; `size`: width and height, pixels.
+    ///
+    /// # Errors
+    /// If the target is where the eye is or the angle of view is none; and what [`check`](Self::check) refuses.
+    pub fn look_at(look: &LookAt, up: Up, size: [u32; 2]) -> Result<Self, RasterError> {
+        let LookAt { eye, target, fov } = *look;
+        let (width, height) = (size[0], size[1]);
+        if width == 0 || height == 0 {
+            return Err(RasterError::Picture { width, height });
+        }
+        let camera = look.camera("view", up, size);
+        Self::from_camera(&camera.ok_or(RasterError::LookAt { eye, target, fov })?)
     }
 
     /// Checks size, intrinsics and pose.

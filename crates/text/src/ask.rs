@@ -1,9 +1,11 @@
 //! What a phrase asks a network for that was trained with the vocabulary of synthetic rooms.
 
-use crate::grammar::foreign_class;
+use crate::error::shortened;
+use crate::grammar::{everyday_class, foreign_class};
+use crate::phrases::{told, took};
 use crate::{Phrase, PhraseError, PhraseReader, Placed, Query, Reading, Verdict};
 use scenesplat_rooms::Vocabulary;
-use scenesplat_rooms::vocabulary::VocabularyError;
+use scenesplat_rooms::vocabulary::{Named, VocabularyError};
 use scenesplat_scene::SceneError;
 
 /// Why a phrase asks for nothing.
@@ -23,7 +25,7 @@ pub enum AskError {
     #[error(
         "nothing in this vocabulary is like {:?}: {reading} (ask for one of these classes by its name to see it \
          all the same)",
-        reading.text
+        shortened(&reading.text)
     )]
     NothingAlike {
         /// What it was compared with.
@@ -32,8 +34,8 @@ pub enum AskError {
     /// It asks for a thing by its place.
     #[error(
         "{:?} says where a thing stands ({placed}), which features of Gaussians do not tell: ask for {:?} alone",
-        placed.text,
-        placed.what.as_deref().unwrap_or(&placed.to)
+        shortened(&placed.text),
+        shortened(placed.what.as_deref().unwrap_or(&placed.to))
     )]
     Placed {
         /// What it says.
@@ -65,6 +67,20 @@ pub struct Known {
     pub reading: Option<Reading>,
     /// What was changed about it, in words; may be empty.
     pub remark: String,
+}
+
+/// Words that join two names: "box of books" names both.
+const JOINING: &[&str] = &["and", "or", "of", "with", "in"];
+
+/// The class that two names side by side are, in their colors: a "desk chair" is a chair.
+fn compound_head(text: &str, named: &Named) -> Option<String> {
+    let [first, head] = &named.nouns[..] else { return None };
+    let (&[_], &[head]) = (&first[..], &head[..]) else { return None };
+    let is_joined = text.chars().any(|c| !c.is_alphanumeric() && !matches!(c, ' ' | '-'))
+        || text.to_lowercase().split(' ').any(|word| JOINING.contains(&word));
+    let colors = named.colors.iter().map(|color| color.word());
+    let words: Vec<&str> = colors.chain([head.about().name]).collect();
+    (!is_joined).then(|| words.join(" "))
 }
 
 impl PhraseReader<'_> {
@@ -105,17 +121,24 @@ impl PhraseReader<'_> {
     /// If it has no known word, or no class is like it.
     pub fn known(&self, text: &str) -> Result<Known, AskError> {
         match Vocabulary::named(text) {
-            Ok(_) => {
-                return Ok(Known { text: text.to_owned(), reading: None, remark: String::new() });
+            // "Kitchen cupboard" is more than a cupboard.
+            Ok(_) if everyday_class(text).is_some() => {}
+            Ok(named) => {
+                let head = compound_head(text, &named);
+                let remark = head.as_ref().map_or(String::new(), |head| took(text, head));
+                let text = head.unwrap_or_else(|| text.to_owned());
+                return Ok(Known { text, reading: None, remark });
             }
             Err(VocabularyError::UnknownWord { .. }) => {}
+            // Its own message would repeat a long text.
+            Err(VocabularyError::NoWord { .. }) => return Err(PhraseError::no_word(text).into()),
             Err(error) => return Err(error.into()),
         }
         let (other, corrected) = self.table.corrected(text);
         let is_foreign = foreign_class(&Vocabulary::split_colors(text).1).is_some();
         if !corrected.is_empty() && !is_foreign && Vocabulary::named(&other).is_ok() {
-            let took = |(typed, word): &(String, String)| format!("took {typed:?} as {word:?}");
-            let remark = corrected.iter().map(took).collect::<Vec<_>>().join("; ");
+            let remark = told(&corrected, "; ", |(typed, word)| took(typed, word));
+            let remark = remark.unwrap_or_default();
             return Ok(Known { text: other, reading: None, remark });
         }
         let reading = self.read(text)?;

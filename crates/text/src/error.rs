@@ -61,8 +61,15 @@ pub enum PhraseError {
     },
 }
 
-/// A text as messages show it: at most 60 characters.
-pub(crate) fn shortened(text: &str) -> String {
+impl PhraseError {
+    pub(crate) fn no_word(text: &str) -> Self {
+        let problem = "holds no word: say what to look for, such as \"red chair\"";
+        Self::Phrase { text: shortened(text), problem }
+    }
+}
+
+/// A text as messages show it: of more than 60 characters the first 60.
+pub fn shortened(text: &str) -> String {
     match text.char_indices().nth(60) {
         Some((end, _)) => format!("{}…", &text[..end]),
         None => text.to_owned(),

@@ -23,9 +23,10 @@ mod reader;
 pub use ask::{AskError, Asked, Known};
 pub use bridge::Bridge;
 pub use encoder::{Encoded, TextEncoder, Truncated};
-pub use error::PhraseError;
+pub use error::{PhraseError, shortened};
 pub use grammar::{
-    Denied, Phrase, Placed, Remaining, denial_words, foreign_names, named_labels, place_words,
+    Denied, Phrase, Placed, Remaining, denial_words, foreign_names, is_other_thing, named_labels,
+    place_words, purposes,
 };
 pub use guess::{Guess, USUAL_COSINE, guess};
 pub use phrases::{PhraseTable, Understood, normalized};

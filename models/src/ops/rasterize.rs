@@ -1,7 +1,7 @@
 //! Pictures of Gaussians, trainable.
 
 use super::{Array, Operation, apply};
-use candle_core::{Error, Result, Shape, Tensor, bail};
+use candle_core::{Device, Error, Result, Shape, Tensor, bail};
 use rayon::prelude::*;
 use scenesplat_rasterizer::backward::{GradMask, Trace, TraceRequest, Upstream, backward, trace};
 use scenesplat_rasterizer::{Gaussians, RasterSettings, View};
@@ -28,6 +28,27 @@ pub struct GaussianTensors {
     pub opacities: Tensor,
     /// Spherical harmonics, `K` = 1, 4, 9 or 16. `[N, K, 3]`
     pub sh: Tensor,
+}
+
+impl GaussianTensors {
+    /// Copies of these values, without gradients: of a scene by
+    /// [`Gaussians::from_scene`](scenesplat_rasterizer::Gaussians::from_scene). To train some of them, put variables in their
+    /// place.
+    ///
+    /// # Errors
+    /// If arrays differ in length.
+    pub fn of(gaussians: &Gaussians) -> Result<Self> {
+        let Gaussians { means, quats, scales, opacities, sh, sh_degree } = gaussians;
+        let (n, bands) = (means.len(), (usize::from(*sh_degree) + 1).pow(2));
+        let cpu = &Device::Cpu;
+        Ok(Self {
+            means: Tensor::from_slice(means.as_flattened(), (n, 3), cpu)?,
+            quats: Tensor::from_slice(quats.as_flattened(), (n, 4), cpu)?,
+            scales: Tensor::from_slice(scales.as_flattened(), (n, 3), cpu)?,
+            opacities: Tensor::from_slice(opacities, n, cpu)?,
+            sh: Tensor::from_slice(sh, (n, bands, 3), cpu)?,
+        })
+    }
 }
 
 /// A depth beside color and alpha.

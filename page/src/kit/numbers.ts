@@ -1,22 +1,22 @@
 // Numbers as people read them.
 
-/** Three digits at most. */
-export function digits(v: number): string {
-  return Number(v.toPrecision(3)).toString();
+/** Three digits at most, or so many. */
+export function digits(v: number, most = 3): string {
+  return Number(v.toPrecision(most)).toString();
 }
 
-export function seconds(s: number | null): string {
+export function seconds(s: number | null, most = 3): string {
   if (s === null || !isFinite(s)) return "–";
-  if (s < 1e-3) return `${digits(s * 1e6)} µs`;
-  if (s < 0.0995) return `${digits(s * 1e3)} ms`;
-  if (s < 120) return `${digits(s)} s`;
-  return s < 7200 ? `${digits(s / 60)} min` : `${digits(s / 3600)} h`;
+  if (s < 1e-3) return `${digits(s * 1e6, most)} µs`;
+  if (s < 0.0995) return `${digits(s * 1e3, most)} ms`;
+  if (s < 120) return `${digits(s, most)} s`;
+  return s < 7200 ? `${digits(s / 60, most)} min` : `${digits(s / 3600, most)} h`;
 }
 
-export function bytes(b: number | null): string {
+export function bytes(b: number | null, most = 3): string {
   if (b === null) return "–";
   const [unit, of] = b >= 1e9 ? ["GB", 1e9] : b >= 1e6 ? ["MB", 1e6] : b >= 1e3 ? ["kB", 1e3] : ["B", 1];
-  return `${digits(b / (of as number))} ${unit}`;
+  return `${digits(b / (of as number), most)} ${unit}`;
 }
 
 export function percent(v: number | null): string {
@@ -41,4 +41,13 @@ export function ticks(low: number, high: number, logarithmic: boolean, most = 8)
   const out: number[] = [];
   for (let i = Math.ceil(low / step); i * step <= high && out.length < 2 * most; i++) out.push(i * step);
   return out;
+}
+
+/** Texts of ticks with the digits that their distance asks for: no two are the same. */
+export function labels(values: number[], text: (v: number, most: number) => string): string[] {
+  const gap = Math.min(...values.slice(1).map((v, i) => v - values[i]));
+  const size = Math.max(...values.map(Math.abs));
+  // One more, for units of which the values are no round numbers.
+  const most = isFinite(gap) ? Math.floor(Math.log10(size)) - Math.floor(Math.log10(gap) + 1e-6) + 2 : 3;
+  return values.map((v) => text(v, Math.max(3, Math.min(15, most))));
 }

@@ -1,7 +1,7 @@
 // A plot: axes with round numbers, lines, marks, and a note that follows the pointer.
 
 import { element, shape } from "./dom";
-import { ticks } from "./numbers";
+import { labels, ticks } from "./numbers";
 
 export interface Axis {
   low: number;
@@ -10,7 +10,8 @@ export interface Axis {
   /** Larger values stand lower or further left. */
   flipped?: boolean;
   label: string;
-  text: (v: number) => string;
+  /** The text of a value, in so many digits. */
+  text: (v: number, most: number) => string;
 }
 
 /** A range around values, with a little room; equal values get one too. */
@@ -26,7 +27,9 @@ export function rangeOf(values: (number | null | undefined)[], log: boolean): { 
     const room = Math.exp(Math.max(Math.log(high / low) * 0.08, 0.2));
     return { low: low / room, high: high * room, log: true };
   }
-  const room = (high - low) * 0.08 || Math.abs(high) * 0.05 || 1e-6;
+  const size = Math.max(Math.abs(low), Math.abs(high));
+  // Ticks stay apart in 64 bits.
+  const room = Math.max((high - low) * 0.08 || Math.abs(high) * 0.05 || 1e-6, size * 1e-12);
   return { low: low - room, high: high + room, log: false };
 }
 
@@ -83,16 +86,20 @@ export class Plot {
 
   private axes(): void {
     const { left, right, top, bottom } = this.box;
-    for (const v of ticks(this.x.low, this.x.high, this.x.log, Math.max(3, Math.round((right - left) / 120)))) {
+    const across = ticks(this.x.low, this.x.high, this.x.log, Math.max(3, Math.round((right - left) / 120)));
+    const below = labels(across, this.x.text);
+    across.forEach((v, i) => {
       const x = this.atX(v);
       this.add(shape("line", { x1: x, y1: top, x2: x, y2: bottom, class: "grid" }));
-      this.text(x, bottom + 20, this.x.text(v), "tick", "middle");
-    }
-    for (const v of ticks(this.y.low, this.y.high, this.y.log, Math.max(3, Math.round((bottom - top) / 70)))) {
+      this.text(x, bottom + 20, below[i], "tick", "middle");
+    });
+    const up = ticks(this.y.low, this.y.high, this.y.log, Math.max(3, Math.round((bottom - top) / 70)));
+    const beside = labels(up, this.y.text);
+    up.forEach((v, i) => {
       const y = this.atY(v);
       this.add(shape("line", { x1: left, y1: y, x2: right, y2: y, class: "grid" }));
-      this.text(left - 8, y + 4, this.y.text(v), "tick", "end");
-    }
+      this.text(left - 8, y + 4, beside[i], "tick", "end");
+    });
     if (this.x.label !== "") this.text((left + right) / 2, bottom + 46, this.x.label, "tick", "middle");
     if (this.y.label !== "") this.text(left + 6, top + 12, this.y.label, "tick");
   }

@@ -33,7 +33,7 @@ interface Data {
 
 type CostKey = "seconds_p50" | "seconds_p95" | "peak_bytes" | "bytes_written";
 type WorthKey = "f_miou" | "miou" | "f_macc" | "agreement" | "query_hit1" | "ece";
-const COSTS: Record<CostKey, [string, (v: number) => string]> = {
+const COSTS: Record<CostKey, [string, (v: number, most?: number) => string]> = {
   seconds_p50: ["seconds a scene, median", seconds], seconds_p95: ["seconds a scene, 95th percentile", seconds],
   peak_bytes: ["peak memory", bytes], bytes_written: ["bytes written a scene", bytes],
 };
@@ -158,7 +158,7 @@ class Front {
     const x: Axis = { ...across, label: COSTS[cost][0], text: COSTS[cost][1] };
     const y: Axis = {
       ...up, flipped: !WORTHS[worth][1], label: WORTHS[worth][0],
-      text: (v) => `${(100 * v).toFixed(up.high - up.low < 0.06 ? 1 : 0)} %`,
+      text: (v, most) => `${digits(100 * v, most)} %`,
     };
     const plot = new Plot(byId<SVGSVGElement>("plot"), BOX, x, y);
     for (const [p, name, color] of rims) {
@@ -275,7 +275,7 @@ function training(): void {
   const plot = new Plot(
     byId<SVGSVGElement>("curves"), { left: 76, right: 1080, top: 18, bottom: 450 },
     { ...x, label: "seconds of training", text: seconds },
-    { ...y, label: curves[0].metric, text: (v) => `${(100 * v).toFixed(1)} %` },
+    { ...y, label: curves[0].metric, text: (v, most) => `${digits(100 * v, most)} %` },
   );
   curves.forEach((curve, i) => {
     const color = `series c${i % SERIES}`;

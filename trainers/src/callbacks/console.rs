@@ -89,7 +89,7 @@ impl Console {
         let rest = self.remaining(at).map_or(String::new(), |d| format!(", {} to go", human(d)));
         let line = format!("step {}/{}: {text}{rest}", at.step, at.total_steps);
         if self.terminal && at.step < at.total_steps {
-            self.say_for_now(&line);
+            self.say_for_now(&format!("{} {line}", bar(at)));
             return;
         }
         let due = self.last_line.is_none_or(|t| t.elapsed() >= LINE_EVERY);
@@ -98,6 +98,13 @@ impl Console {
             self.say(&line);
         }
     }
+}
+
+/// How much of the training is done, as a bar.
+fn bar(at: Progress) -> String {
+    const LENGTH: u64 = 24;
+    let done = (LENGTH * at.step / at.total_steps.max(1)).min(LENGTH) as usize;
+    format!("[{:-<24}]", "=".repeat(done))
 }
 
 impl Default for Console {
@@ -171,6 +178,14 @@ fn human(duration: Duration) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn a_bar_is_as_long_as_what_is_done() {
+        let at = |step, total_steps| bar(Progress { step, total_steps, ..Progress::default() });
+        assert_eq!(at(0, 300), format!("[{}]", "-".repeat(24)));
+        assert_eq!(at(150, 300), format!("[{}{}]", "=".repeat(12), "-".repeat(12)));
+        assert_eq!([at(300, 300), at(9, 0)], [(); 2].map(|()| format!("[{}]", "=".repeat(24))));
+    }
 
     #[test]
     fn durations_have_two_units() {

@@ -11,7 +11,7 @@ pub use args::Args;
 use checks::{check_paths, target_format};
 use read::Source;
 use scenesplat::inspect::{Floaters, find_floaters};
-use scenesplat::scene::edit::EditReport;
+use scenesplat::scene::edit::{EditReport, SampleSize};
 use scenesplat::scene::{GaussianScene, Up, WriteOptions, write_scene};
 use serde_json::json;
 
@@ -26,7 +26,11 @@ pub fn run(args: &Args) -> Result<()> {
     let before = scene.len();
     let (scene, edited) = args.edit(source.stated_up).apply(scene)?;
     if edited.rows.is_some() {
-        progress.say(format!("{} of {before} Gaussians kept", scene.len()));
+        let mut text = format!("{} of {before} Gaussians kept", scene.len());
+        if let Some(SampleSize::Count(few)) = args.sample.filter(|_| scene.len() <= 100) {
+            text += &format!(" (--sample {few} is a number; --sample {few}% keeps a share)");
+        }
+        progress.say(text);
     }
     for line in turns(&edited) {
         progress.say(line);

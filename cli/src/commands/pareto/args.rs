@@ -22,8 +22,11 @@ pub struct Args {
     pub grid: Option<PathBuf>,
     /// Scenes with labels: files or folders, or synthetic:COUNT:SEED for rooms that are made on the
     /// spot. Each is a set of its own.
-    #[arg(long, required_unless_present_any = ["training", "calibrate"], num_args = 1.., value_name = "SCENE|synthetic:COUNT:SEED")]
-    pub scenes: Vec<String>,
+    #[arg(required_unless_present_any = ["scenes", "training", "calibrate"], value_name = "SCENE|synthetic:COUNT:SEED")]
+    first: Vec<String>,
+    /// The same, after other flags.
+    #[arg(long, num_args = 1.., value_name = "SCENE|synthetic:COUNT:SEED")]
+    scenes: Vec<String>,
     /// Measures this machine instead, for --budget of the other commands: a few settings of the
     /// network on made rooms, in some three minutes. Stored in the user's data folder
     /// (~/.local/share/scenesplat, or where SCENESPLAT_FRONTS says).
@@ -76,6 +79,11 @@ pub struct Args {
 }
 
 impl Args {
+    /// The scenes that are measured.
+    pub fn scenes(&self) -> Vec<String> {
+        [&self.first[..], &self.scenes].concat()
+    }
+
     /// The grid of --grid, or this one, with its settings.
     pub fn grid_or(
         &self,

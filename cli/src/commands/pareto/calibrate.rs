@@ -55,7 +55,8 @@ pub fn calibrate(args: &Args) -> Result<()> {
     }
     let scratch = Scratch::new()?;
     let mut records = Records::open(&scratch.path().join("records.jsonl"))?;
-    let given = if args.scenes.is_empty() { vec![SCENES.to_owned()] } else { args.scenes.clone() };
+    let given = Some(args.scenes()).filter(|given| !given.is_empty());
+    let given = given.unwrap_or_else(|| vec![SCENES.to_owned()]);
     let sets = inputs::sets(&given, scratch.path(), &progress)?;
     // Quality alone is asked for here; times are those of whole commands.
     let campaign = Campaign::new(args, &grid, &sets, scratch.path(), &progress, 1);

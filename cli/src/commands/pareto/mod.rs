@@ -50,7 +50,7 @@ pub fn run(args: &Args) -> Result<()> {
             .say("records.jsonl: the last line was cut by an interruption; it is measured again");
     }
     let scratch = Scratch::new()?;
-    let sets = inputs::sets(&args.scenes, scratch.path(), &progress)?;
+    let sets = inputs::sets(&args.scenes(), scratch.path(), &progress)?;
     let repeats = usize::from(args.repeats);
     let campaign = Campaign::new(args, &grid, &sets, scratch.path(), &progress, repeats);
     let hashes: Vec<_> = sets.iter().map(|s| (s.name.clone(), s.hash.clone())).collect();
@@ -98,7 +98,8 @@ fn what_is_kept(error: anyhow::Error, records: &Records) -> anyhow::Error {
 /// Prints and writes what was measured of the scenes that were asked for.
 fn report(args: &Args, records: &Records, around: Around, before: Option<&[Record]>) -> Result<()> {
     // Of the scenes that were asked for; without any, of all that were measured before.
-    let asked = |r: &&Record| args.scenes.is_empty() || args.scenes.contains(&r.scenes);
+    let scenes = args.scenes();
+    let asked = |r: &&Record| scenes.is_empty() || scenes.contains(&r.scenes);
     let shown: Vec<Record> = records.all.iter().filter(asked).cloned().collect();
     let summary = Summary::of(&shown, around)?;
     tell::tell(&summary);

@@ -6,7 +6,7 @@ use crate::commands::phrase::{ask_error, phrase_error, placed_refused, tell_deni
 use crate::error::refuse;
 use crate::session::Session;
 use anyhow::Result;
-use scenesplat::phrases::{AskError, Phrase, PhraseReader};
+use scenesplat::phrases::{AskError, Phrase, PhraseReader, Reading};
 use scenesplat::query::Query;
 use scenesplat::rooms::Vocabulary;
 use scenesplat::scene::TextTable;
@@ -17,7 +17,12 @@ use scenesplat::text_model::TextModel;
 /// What a phrase asks for.
 pub enum Meant {
     /// What features tell.
-    Query(Query),
+    Query {
+        /// What is meant, as far as words tell.
+        query: Query,
+        /// What may be meant as well, with the texts of the vocabulary; what is in the scene decides.
+        near: Vec<(String, Query)>,
+    },
     /// Things at a place, such as "lamp on the desk", which the objects of the scene tell.
     Place,
 }
@@ -33,7 +38,7 @@ pub fn meant(args: &Args, session: &Session<'_>) -> Result<Meant> {
     };
     match vocabulary {
         Some(vocabulary) => of_phrase(args, session, &vocabulary),
-        None => query(args, session).map(Meant::Query),
+        None => Ok(Meant::Query { query: query(args, session)?, near: Vec::new() }),
     }
 }
 
@@ -148,7 +153,12 @@ fn of_phrase(args: &Args, session: &Session<'_>, vocabulary: &Vocabulary) -> Res
             tell_denied(session, &args.query, known, &asked.denied);
         }
     }
-    Ok(Meant::Query(asked.query))
+    let near = asked.reading.iter().flat_map(Reading::near_texts).map(|text| {
+        let query = Query::of_vocabulary(vocabulary, &text).map_err(AskError::from)?;
+        Ok((text, Query { text: args.query.clone(), ..query }))
+    });
+    let near = near.collect::<Result<_, AskError>>().map_err(ask_error)?;
+    Ok(Meant::Query { query: asked.query, near })
 }
 
 /// All rows of a table but those that the phrase denies; `None` for a phrase that denies none.

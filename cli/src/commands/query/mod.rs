@@ -3,7 +3,7 @@
 mod args;
 mod asked;
 mod guess;
-mod place;
+pub(super) mod place;
 mod write;
 
 use crate::budget::{Job, within_budget};
@@ -13,7 +13,9 @@ use crate::session::{FeatureSource, Session};
 use anyhow::Result;
 pub use args::Args;
 pub use asked::{Meant, meant};
+use scenesplat::SceneFeatures;
 use scenesplat::outputs::OpenedScene;
+use scenesplat::phrases::shortened;
 use scenesplat::query::{Query, QuerySettings, Selection, select};
 use scenesplat::recognition::{KNOWN, LEAST_SHARE};
 use scenesplat::scene::LabelSet;
@@ -68,8 +70,8 @@ pub fn find(
     wish: &Wish,
     vote_k: usize,
 ) -> Result<Found> {
-    let query = match meant {
-        Meant::Query(query) => query,
+    let (query, near) = match meant {
+        Meant::Query { query, near } => (query, near),
         Meant::Place => return place::find(args, session, vote_k),
     };
     let (opened, source) = open(args, session, query)?;
@@ -84,19 +86,40 @@ pub fn find(
         }
     }
 
-    session.receipt.setting("vote_k", vote_k, "neighbors that vote on the selection");
-    let mut found = {
-        let _stage = session.receipt.stage("query");
-        let settings = QuerySettings {
-            without: args.classes.without.clone(),
-            min_score: args.classes.min_score,
-            min_margin: args.classes.min_margin,
-            vote_k,
-        };
-        select(&features, query, &settings, &scene.coord)?
-    };
+    let rows = (&features, &scene.coord[..]);
+    let mut found = selected(args, session, (query, near), rows, vote_k)?;
     session.note_withheld(found.withhold(about.withheld()), "selected Gaussians");
     Ok(Found { opened, remark: source.remark(), selection: found })
+}
+
+/// The Gaussians that features select; where there are none, those of what the phrase may mean as well.
+pub fn selected(
+    args: &Args,
+    session: &Session<'_>,
+    (query, near): (&Query, &[(String, Query)]),
+    (features, coord): (&SceneFeatures, &[[f32; 3]]),
+    vote_k: usize,
+) -> Result<Selection> {
+    session.receipt.setting("vote_k", vote_k, "neighbors that vote on the selection");
+    let _stage = session.receipt.stage("query");
+    let settings = QuerySettings {
+        without: args.classes.without.clone(),
+        min_score: args.classes.min_score,
+        min_margin: args.classes.min_margin,
+        vote_k,
+    };
+    let found = select(features, query, &settings, coord)?;
+    for (text, other) in near.iter().take_while(|_| found.is_empty()) {
+        let other = select(features, other, &settings, coord)?;
+        if !other.is_empty() {
+            let how = "as near as what the phrase is taken for, which is not there";
+            session.receipt.setting("taken_for", text, how);
+            let phrase = shortened(&args.query);
+            session.warn_loudly(format!("{phrase:?} is taken for {text:?}: {how}"));
+            return Ok(other);
+        }
+    }
+    Ok(found)
 }
 
 /// The scene and the source of its features, which fit the query.
@@ -112,10 +135,8 @@ fn open(args: &Args, session: &Session<'_>, query: &Query) -> Result<(OpenedScen
             check_width(network.model().out_channels(), query.width())
         },
     )?;
-    // A misspelt rival would go on to compete; before the network runs, which may take minutes.
-    if !args.classes.without.is_empty() {
-        args.classes.options(&LabelSet::new(query.rivals.names.clone())?)?;
-    }
+    // Before the network runs, which may take minutes.
+    check_rivals(args, query)?;
     if let (FeatureSource::Codes, Some(code)) = (&source, &opened.loaded.scene.lang_code) {
         if args.classes.text.is_none() && args.embedding.is_none() {
             refuse!(
@@ -126,6 +147,14 @@ fn open(args: &Args, session: &Session<'_>, query: &Query) -> Result<(OpenedScen
         check_width(code.codebook.feature_width(), query.width())?;
     }
     Ok((opened, source))
+}
+
+/// Refuses a misspelt rival, which would go on to compete.
+pub fn check_rivals(args: &Args, query: &Query) -> Result<()> {
+    if !args.classes.without.is_empty() {
+        args.classes.options(&LabelSet::new(query.rivals.names.clone())?)?;
+    }
+    Ok(())
 }
 
 fn check_width(features: usize, texts: usize) -> Result<()> {

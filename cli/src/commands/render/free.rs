@@ -53,7 +53,8 @@ fn around(scene: &GaussianScene, up: Up, args: &Args) -> Shots {
     let orbit = Orbit::around(&rows, up, count, args.size.unwrap_or(ORBIT_SIZE));
     let mut notes = Vec::new();
     if orbit.near.is_some() {
-        notes.push("a closed room: ceiling and near walls are left out".to_owned());
+        let what = if orbit.ceiling.is_some() { "ceiling and near walls" } else { "near walls" };
+        notes.push(format!("a room: {what} are left out"));
     }
     Shots { list: numbered(orbit.cameras), near: orbit.near, ceiling: orbit.ceiling, notes }
 }

@@ -14,6 +14,8 @@ use args::PlanArg;
 use cameras::{Shot, Shots};
 use clap::ValueEnum;
 use effects::Effects;
+#[cfg(feature = "mcp")]
+pub(super) use parse::parse_point;
 pub(super) use parse::{parse_color, parse_fov, parse_size};
 use scenesplat::datasets::effects::pictures::DrawnPicture;
 use scenesplat::preview::{depth_picture, depth_steps, picture_of, write_png, write_png16};

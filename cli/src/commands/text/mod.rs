@@ -259,6 +259,7 @@ pub fn as_json(reading: &Reading) -> serde_json::Value {
         "taken_for": reading.known_text(),
         "verdict": reading.verdict.to_string(),
         "colors": reading.colors.iter().map(|c| c.word()).collect::<Vec<_>>(),
+        "purpose": reading.purpose,
         "nearest": classes.collect::<Vec<_>>(),
         "remark": reading.remark,
     })

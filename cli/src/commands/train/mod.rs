@@ -2,6 +2,7 @@
 
 mod json_console;
 mod ranks;
+mod sweep;
 mod trial;
 
 use crate::error::{Saved, refuse};
@@ -12,16 +13,19 @@ use crate::terminal::{note_warning, print};
 use crate::threads::set_threads;
 use crate::version;
 use anyhow::{Context, Result, anyhow};
+use candle_core::Device;
 use json_console::JsonConsole;
 use scenesplat::datasets::Amount;
+use scenesplat::experiment::sweep::RunOutcome;
 use scenesplat::experiment::{
     ExperimentConfig, ExperimentError, MakeConsole, RunOptions, RunReport, train_together,
 };
 use scenesplat::models::DeviceChoice;
+use scenesplat::trainers::Collective;
 use scenesplat::trainers::callbacks::Console;
 use scenesplat::trainers::checkpoint::newest_checkpoint;
 use std::num::NonZeroUsize;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::rc::Rc;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -39,6 +43,13 @@ pub struct Args {
     /// Changes a setting of the file: `optimizer.lr=1e-3`, `train.0.repeat=4`, `precision=bf16`; may be given several times.
     #[arg(long = "set", value_name = "KEY=VALUE")]
     pub changes: Vec<String>,
+    /// Trains once for each value of a setting: `optimizer.lr=[1e-3, 3e-4]`; may be given several times, then once for each
+    /// combination. Each training has a folder of its own in that of the run, and sweep.csv compares them.
+    #[arg(
+        long, value_name = "KEY=[VALUES]",
+        conflicts_with_all = ["resume", "fast_dev_run", "lr_find", "check"]
+    )]
+    pub sweep: Vec<String>,
     /// Folder of the run. [default: runs/ and the name of the file]
     #[arg(long, value_name = "DIR")]
     pub out: Option<PathBuf>,
@@ -127,6 +138,13 @@ impl Args {
 /// Runs the command.
 pub fn run(args: &Args) -> Result<()> {
     let (file, out) = args.file_and_folder()?;
+    if !file.is_file() {
+        refuse!(
+            "{}: there is no such file; give the TOML file of an experiment, such as those in configs/, or with --resume the \
+             folder of a run",
+            file.display()
+        );
+    }
     let mut config = ExperimentConfig::read_changed(&file, &args.all_changes())?;
     if let Some(seed) = args.seed {
         config.set_seed(seed);
@@ -148,62 +166,96 @@ pub fn run(args: &Args) -> Result<()> {
     if let Some(steps) = args.lr_find {
         return trial::search(&config, steps, &device.device, &out);
     }
-    let there = || newest_checkpoint(&out.join("checkpoints"));
-    let resume = args.resume || (args.resume_if_there && there()?.is_some());
     listen_for_interrupt()?;
     let stop = Arc::new(AtomicBool::new(false));
     watch(Arc::clone(&stop));
     let ranks = ranks::start(&device.device)?;
-    if ranks.size() > 1 && ranks.rank() == 0 {
-        let of = if config.trainer.sync_batch_norm { "all of them" } else { "its own batch" };
-        let (size, carrier) = (ranks.size(), ranks.carrier());
-        print(&format!(
-            "{size} ranks share the batches of each step; a batch norm takes the statistics of {of}; gradients go by \
-             {carrier}"
-        ));
+    let run = Start { args, device: device.device, stop, ranks };
+    if !args.sweep.is_empty() {
+        return sweep::run(&run, &file, &out);
     }
-    let done = train_together(
-        &config,
-        &RunOptions {
+    let report = run.train(&config, out.clone())?;
+    if run.ranks.rank() == 0 {
+        tell(&report, &config, &out)?;
+    }
+    run.end(&report)
+}
+
+/// What trainings of one call have in common.
+struct Start<'a> {
+    args: &'a Args,
+    device: Device,
+    stop: Arc<AtomicBool>,
+    ranks: Rc<dyn Collective>,
+}
+
+impl Start<'_> {
+    /// Trains in a folder.
+    fn train(&self, config: &ExperimentConfig, out: PathBuf) -> Result<RunReport> {
+        let Self { args, device, stop, ranks } = self;
+        let there = || newest_checkpoint(&out.join("checkpoints"));
+        let resume = args.resume || (args.resume_if_there && there()?.is_some());
+        if ranks.size() > 1 && ranks.rank() == 0 {
+            let of = if config.trainer.sync_batch_norm { "all of them" } else { "its own batch" };
+            let (size, carrier) = (ranks.size(), ranks.carrier());
+            print(&format!(
+                "{size} ranks share the batches of each step; a batch norm takes the statistics of {of}; gradients go by \
+                 {carrier}"
+            ));
+        }
+        let options = RunOptions {
             out,
             resume,
             console: args.console(),
-            stop,
-            device: device.device,
+            stop: Arc::clone(stop),
+            device: device.clone(),
             commit: version::COMMIT.map(str::to_owned),
-        },
-        Rc::clone(&ranks),
-    )
-    .map_err(|error| match error {
-        ExperimentError::HoldsRun { path } => anyhow!(
-            "{}: holds a run already; give --resume to go on with it, or another --out",
-            path.display()
-        ),
-        other => other.into(),
-    });
-    let report = ranks::all_end(&*ranks, done)?;
-    if ranks.rank() == 0 {
-        tell(&report);
+        };
+        let done =
+            train_together(config, &options, Rc::clone(ranks)).map_err(|error| match error {
+                ExperimentError::HoldsRun { path } => anyhow!(
+                    "{}: holds a run already; give --resume{} to go on with it, or another --out",
+                    path.display(),
+                    if args.sweep.is_empty() { "" } else { "-if-there" }
+                ),
+                other => other.into(),
+            });
+        ranks::all_end(&**ranks, done)
     }
-    // Early stopping is an end like any other.
-    let is_whole = report.progress.step >= report.progress.total_steps;
-    if is_whole || !interrupted() { Ok(()) } else { Err(Saved.into()) }
+
+    /// Whether a training was asked to stop before its end.
+    fn end(&self, report: &RunReport) -> Result<()> {
+        // Early stopping is an end like any other.
+        let is_whole = report.progress.step >= report.progress.total_steps;
+        if is_whole || !interrupted() { Ok(()) } else { Err(Saved.into()) }
+    }
 }
 
-/// Prints what came of the training.
-fn tell(report: &RunReport) {
+/// Prints what came of a training, the answer first.
+fn tell(report: &RunReport, config: &ExperimentConfig, out: &Path) -> Result<RunOutcome> {
+    let selection = &config.trainer.checkpoint;
+    let outcome = RunOutcome::read(selection, out)?;
+    let at = report.progress;
+    let mut text = format!("{} of {} steps", at.step, at.total_steps);
+    if let Some(loss) = outcome.loss {
+        text += &format!(", loss {loss:.4}");
+    }
+    if let (Some(name), Some((value, step))) = (&selection.best, outcome.best) {
+        text += &format!(", best {name} {value:.4} at step {step}");
+    }
+    print(&text);
     let fallbacks = scenesplat::kernels::fallbacks::take();
     let fallbacks = fallbacks.iter().map(scenesplat::device::on_the_cpu);
     for warning in report.remarks.iter().cloned().chain(fallbacks) {
         note_warning(&warning);
         print(&warning);
     }
-    let at = report.progress;
     print(&format!("weights: {}", report.model.display()));
     print(&format!("curves: {}, and curves.html beside it", report.curves.display()));
     if at.step < at.total_steps {
         print(&format!("stopped at step {} of {}: --resume goes on", at.step, at.total_steps));
     }
+    Ok(outcome)
 }
 
 /// What shows a training.

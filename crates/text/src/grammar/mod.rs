@@ -4,15 +4,18 @@
 //! that denies must never be taken for what it denies, so what cannot be read for certain is an error.
 
 mod denial;
+mod everyday;
 mod foreign;
 mod names;
 mod place;
+mod purpose;
 mod tokens;
 
 use crate::error::shortened;
 use crate::{PhraseError, PhraseTable};
 use denial::{Denial, denials, is_everything};
 use names::{NoLabel, is_name, label_of, labels_of};
+pub(crate) use purpose::serving;
 use scenesplat_objects::relations::Relation;
 use scenesplat_rooms::{ClassId, Vocabulary};
 use std::fmt;
@@ -86,7 +89,7 @@ impl Phrase {
         }
         let place = |words| place::place(words, &is_name);
         match &denials(&words)[..] {
-            [] => Ok(match place(&words).filter(|_| !is_whole(text)) {
+            [] => Ok(match place(&words).filter(|_| !is_whole(text) && serving(text).is_none()) {
                 Some(place) => Self::Placed(placed(text, place)),
                 None => Self::Plain,
             }),
@@ -171,11 +174,12 @@ impl Denied {
         let chosen: Vec<usize> =
             all.iter().copied().filter(|label| !denied.contains(label)).collect();
         if let (Some(text), true) = (&self.all, chosen.len() == all.len()) {
+            let text = shortened(text);
             return refused(
                 &self.text,
                 format!(
                     "takes {:?} from {text:?}, where they are not: ask for {text:?} alone",
-                    self.but
+                    shortened(&self.but)
                 ),
             );
         }
@@ -194,13 +198,15 @@ impl Denied {
         labels_of(&words, labels).or_else(|no| {
             let problem = match no {
                 NoLabel::Color => format!(
-                    "denies by a color ({part:?}), and only what is looked for is told by its color: ask for {} and \
+                    "denies by a color ({:?}), and only what is looked for is told by its color: ask for {} and \
                      take it from the rest",
+                    shortened(part),
                     self.in_color(part)
                 ),
                 NoLabel::Unknown(name) => format!(
-                    "denies by labels, and {name:?} is the name of none: name a class, such as \"everything except the \
-                     walls\""
+                    "denies by labels, and {:?} is the name of none: name a class, such as \"everything except the \
+                     walls\"",
+                    shortened(&name)
                 ),
             };
             refused(&self.text, problem)
@@ -211,8 +217,10 @@ impl Denied {
     fn in_color(&self, part: &str) -> String {
         let has_noun = Vocabulary::named(part).is_ok_and(|named| !named.nouns.is_empty());
         match &self.all {
-            Some(all) if !has_noun && part == self.but => format!("\"{part} {all}\""),
-            _ => format!("{part:?}"),
+            Some(all) if !has_noun && part == self.but => {
+                format!("{:?}", shortened(&format!("{part} {all}")))
+            }
+            _ => format!("{:?}", shortened(part)),
         }
     }
 }
@@ -244,9 +252,32 @@ pub(crate) fn foreign_class(text: &str) -> Option<ClassId> {
     foreign::class_of(&tokens::words(text))
 }
 
+/// The class whose English name of everyday use a phrase is, a name that means nothing else at home.
+pub(crate) fn everyday_class(text: &str) -> Option<ClassId> {
+    everyday::class_of(&tokens::words(text))
+}
+
+/// What serves purposes, as texts of the vocabulary (empty: none of the classes), with patterns of the purposes, for readers
+/// of phrases that do not run here. In a pattern "|" separates words that may stand for each other, "_" is none; "@" before
+/// it: of places only, "#": of things only.
+pub fn purposes() -> &'static [(&'static str, &'static [&'static str])] {
+    purpose::PURPOSES
+}
+
+/// Whether a phrase is a thing of homes that is none of the classes: a kettle.
+pub fn is_other_thing(text: &str) -> bool {
+    everyday::is_other(&tokens::words(text))
+}
+
+/// The name of these that a phrase of unknown words is a letter from, or ends with in one word.
+pub(crate) fn similar_name(text: &str) -> Option<(String, ClassId)> {
+    let words = tokens::words(text);
+    foreign::misspelt(&words).or_else(|| foreign::compound(&words))
+}
+
 /// What the place is: "where it stands (next to bed)".
 impl fmt::Display for Placed {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(f, "{} {}", self.word, self.to)
+        write!(f, "{} {}", self.word, shortened(&self.to))
     }
 }

@@ -12,8 +12,9 @@ use spelling::KnownWords;
 pub(crate) use spelling::distance;
 use std::sync::OnceLock;
 pub use understand::Understood;
-pub(crate) use words::bases;
+pub(crate) use understand::{told, took};
 pub use words::normalized;
+pub(crate) use words::{bases, normalized_words};
 
 /// The phrases of the table inside the library, one a line, sorted by bytes, as [`normalized`] gives them.
 const PHRASES: &str = include_str!("../../assets/phrases.txt");

@@ -11,6 +11,8 @@ use std::fmt;
 const LONGEST_PART: usize = 5;
 /// Weight of parts behind a preposition, which say more about what stands before.
 const BEHIND_PREPOSITION: f32 = 0.5;
+/// The most entries of a list in a message.
+const MOST_TOLD: usize = 8;
 /// The most words of a phrase that are read.
 const MOST_WORDS: usize = 256;
 
@@ -31,21 +33,32 @@ pub struct Understood {
     pub unread: usize,
 }
 
+/// The first of a list in words, and how many more there are; `None` of an empty one.
+pub(crate) fn told<T>(list: &[T], between: &str, word: impl Fn(&T) -> String) -> Option<String> {
+    let first: Vec<String> = list.iter().take(MOST_TOLD).map(word).collect();
+    let text = first.join(between);
+    match list.len().checked_sub(MOST_TOLD) {
+        _ if list.is_empty() => None,
+        Some(more @ 1..) => Some(format!("{text} and {more} more")),
+        _ => Some(text),
+    }
+}
+
+/// What a misspelt or another name was read as.
+pub(crate) fn took(typed: &str, word: &str) -> String {
+    format!("took {typed:?} as {word:?}")
+}
+
 impl fmt::Display for Understood {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let mut texts: Vec<String> = self
-            .corrected
-            .iter()
-            .map(|(typed, word)| format!("took {typed:?} as {word:?}"))
-            .collect();
+        let mut texts = Vec::new();
+        texts.extend(told(&self.corrected, "; ", |(typed, word)| took(typed, word)));
         if !self.whole {
-            let parts: Vec<String> = self.parts.iter().map(|p| format!("{p:?}")).collect();
-            texts.push(format!("not in the phrase table, made up of {}", parts.join(" + ")));
+            let parts = told(&self.parts, " + ", |part| format!("{part:?}")).unwrap_or_default();
+            texts.push(format!("not in the phrase table, made up of {parts}"));
         }
-        if !self.unknown.is_empty() {
-            let words: Vec<String> =
-                self.unknown.iter().map(|w| format!("{:?}", shortened(w))).collect();
-            texts.push(format!("not known and left out: {}", words.join(", ")));
+        if let Some(words) = told(&self.unknown, ", ", |word| format!("{:?}", shortened(word))) {
+            texts.push(format!("not known and left out: {words}"));
         }
         if self.unread > 0 {
             texts.push(format!("only the first {MOST_WORDS} words were read"));
@@ -61,6 +74,11 @@ impl PhraseTable {
         words.truncate(MOST_WORDS);
         let (words, corrected) = self.correct(&words);
         (words.join(" "), corrected)
+    }
+
+    /// Whether every word of a text, or one that it is a form of, is in a phrase.
+    pub(crate) fn has_words(&self, text: &str) -> bool {
+        normalized_words(text).iter().all(|word| self.words.has(word))
     }
 
     fn correct(&self, words: &[String]) -> (Vec<String>, Vec<(String, String)>) {
@@ -86,8 +104,7 @@ impl PhraseTable {
     pub fn understand(&self, text: &str) -> Result<Understood, PhraseError> {
         let mut words = normalized_words(text);
         if words.is_empty() {
-            let problem = "holds no word: say what to look for, such as \"red chair\"";
-            return Err(PhraseError::Phrase { text: shortened(text), problem });
+            return Err(PhraseError::no_word(text));
         }
         let unread = words.len().saturating_sub(MOST_WORDS);
         words.truncate(MOST_WORDS);

@@ -61,7 +61,7 @@ pub fn normalized(text: &str) -> String {
     normalized_words(text).join(" ")
 }
 
-pub(super) fn normalized_words(text: &str) -> Vec<String> {
+pub(crate) fn normalized_words(text: &str) -> Vec<String> {
     // An apostrophe joins, but for the one of a possessive.
     let text = text.to_lowercase().replace(['\u{2019}', '\u{2018}', '`'], "'");
     let words = text.split(|c: char| !c.is_alphanumeric() && c != '\'').map(|word| {

@@ -1,8 +1,8 @@
 //! Cameras that stand somewhere and look somewhere.
 
-use super::framing::Upright;
+use crate::frame::{apply, transposed};
+use crate::{Camera, Distortion, Up};
 use glam::DVec3;
-use scenesplat_scene::{Camera, Distortion, Up};
 
 /// Where a camera stands, and what it looks at.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -21,7 +21,7 @@ impl LookAt {
     ///
     /// `None` if the target is where the eye is, or a number makes no sense.
     pub fn camera(&self, name: &str, up: Up, [width, height]: [u32; 2]) -> Option<Camera> {
-        let upright = Upright::new(up);
+        let turn_back = |axis: [f64; 3]| DVec3::from(apply(&transposed(&up.upright()), axis));
         let eye = DVec3::from(self.eye);
         let to = DVec3::from(self.target) - eye;
         let distance = to.length();
@@ -30,36 +30,37 @@ impl LookAt {
             return None;
         }
         let forward = to / distance;
-        let right = forward.cross(upright.turn_back([0.0, 0.0, 1.0]).into());
+        let right = forward.cross(turn_back([0.0, 0.0, 1.0]));
         let length = right.length();
-        let right =
-            if length > 1e-6 { right / length } else { upright.turn_back([1.0, 0.0, 0.0]).into() };
+        let right = if length > 1e-6 { right / length } else { turn_back([1.0, 0.0, 0.0]) };
         let rotation = [right, forward.cross(right), forward];
-        Some(pinhole(name.to_owned(), [width, height], self.fov / 2.0, eye, rotation))
+        Some(Camera::pinhole(name.to_owned(), [width, height], self.fov, eye, rotation))
     }
 }
 
-/// A camera without distortion. `half_view`: half of the narrower angle of view, degrees; `rotation`: directions of
-/// right, down and forward.
-pub(super) fn pinhole(
-    name: String,
-    [width, height]: [u32; 2],
-    half_view: f64,
-    eye: DVec3,
-    rotation: [DVec3; 3],
-) -> Camera {
-    let focal = f64::from(width.min(height)) / (2.0 * half_view.to_radians().tan());
-    Camera {
-        name,
-        width,
-        height,
-        fx: focal,
-        fy: focal,
-        cx: f64::from(width) / 2.0,
-        cy: f64::from(height) / 2.0,
-        distortion: Distortion::None,
-        rotation: rotation.map(Into::into),
-        translation: rotation.map(|axis| -axis.dot(eye)),
+impl Camera {
+    /// A camera without distortion. `fov`: angle of view across the shorter side, degrees; `rotation`: directions of
+    /// right, down and forward.
+    pub fn pinhole(
+        name: String,
+        [width, height]: [u32; 2],
+        fov: f64,
+        eye: DVec3,
+        rotation: [DVec3; 3],
+    ) -> Self {
+        let focal = f64::from(width.min(height)) / (2.0 * (fov / 2.0).to_radians().tan());
+        Self {
+            name,
+            width,
+            height,
+            fx: focal,
+            fy: focal,
+            cx: f64::from(width) / 2.0,
+            cy: f64::from(height) / 2.0,
+            distortion: Distortion::None,
+            rotation: rotation.map(Into::into),
+            translation: rotation.map(|axis| -axis.dot(eye)),
+        }
     }
 }
 
