@@ -149,7 +149,10 @@ pub enum DataError {
 
 impl DataError {
     /// A source of one's own cannot read a scene, because of `error`; any error type will do.
-    pub fn unreadable(id: &str, error: impl Into<Box<dyn std::error::Error + Send + Sync>>) -> Self {
+    pub fn unreadable(
+        id: &str,
+        error: impl Into<Box<dyn std::error::Error + Send + Sync>>,
+    ) -> Self {
         Self::Unreadable { id: id.to_owned(), source: error.into() }
     }
 

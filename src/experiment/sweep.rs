@@ -148,7 +148,7 @@ mod tests {
             [["a.b=1", "c=\"x\""], ["a.b=1", "c=true"], ["a.b=2", "c=\"x\""], ["a.b=2", "c=true"]];
         assert_eq!(all, expected);
         assert_eq!(folder_name(3, &all[2]), "003-b=2-c=x");
-        assert_eq!(folder_name(12, &["p/../q=\"a b\"".to_owned()]), "012-._q=a_b");
+        assert_eq!(folder_name(12, &["p/../q=\"a b\"".to_owned()]), "012-_q=a_b");
         assert!(folder_name(1, &["k=".to_owned() + &"v".repeat(300)]).len() <= LONGEST_NAME);
     }
 

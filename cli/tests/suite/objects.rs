@@ -326,3 +326,36 @@ fn a_page_is_one_file_that_loads_nothing() {
     ];
     all_refused(cases, page);
 }
+
+#[test]
+fn near_ties_are_decided_by_what_is_there() {
+    let folder = Folder::new();
+    let (room, out) = (asset_at("room.ply"), folder.at("out"));
+    let selected = |phrase: &str| {
+        let said = run!("query {room} '{phrase}' --out {out}");
+        done(&said);
+        (labels(format!("{out}/selection.npy")), stderr(&said))
+    };
+    let mut decided = 0;
+    for (phrase, first, other) in [
+        ("ceiling fan", "ceiling", "lamp"),
+        ("digital computer", "monitor", "laptop"),
+        ("charcoal burner", "stove", "radiator"),
+        ("computer bed", "bed", "laptop"),
+        ("fabric bed", "bed", "sofa"),
+        ("dining wardrobe", "wardrobe", "table"),
+    ] {
+        let [of_first, of_other] = [first, other].map(|class| selected(class).0);
+        let (found, said) = selected(phrase);
+        has(&said, &[&format!("\"{first}\": {first} 0."), &format!("near: {other}")]);
+        let is_there = of_first.contains(&1);
+        if is_there || !of_other.contains(&1) {
+            assert!(found == of_first || !is_there, "{phrase}");
+            continue;
+        }
+        decided += 1;
+        has(&said, &[&format!("\"{other}\": as near")]);
+        assert!(found == of_other, "{phrase}");
+    }
+    assert!(decided > 0, "no class of the room is the second of a tie");
+}

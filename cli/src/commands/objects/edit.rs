@@ -85,8 +85,8 @@ impl Edit<'_> {
     fn tell(&self, Holes { holes, uneven, .. }: &Holes) {
         if !uneven.is_empty() {
             let ids: Vec<String> = uneven.iter().map(ToString::to_string).collect();
-            let text = format!("{} are not flat: no hole is looked for in them", ids.join(", "));
-            print(&format!("surfaces {text}"));
+            let ids = ids.join(", ");
+            print(&format!("parts of {ids} are not flat: no hole is looked for in these"));
         }
         let area = |of: &dyn Fn(&Hole) -> f64| -> f64 { holes.iter().map(of).sum() };
         let [all, closed] = [area(&Hole::area), area(&Hole::closed_area)];

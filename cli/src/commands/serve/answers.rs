@@ -1,7 +1,7 @@
 //! The scene that is asked about, and what is answered.
 
 use super::picture::{Pictures, Seen};
-use super::tools::Tool;
+use super::tools::{Answer, Arguments, Tool, word};
 use crate::caller::{Caller, called_by};
 use crate::commands::labelled::{LabelArgs, LabelOrigin, Labelled};
 use crate::commands::meant::Asking;
@@ -18,19 +18,8 @@ use anyhow::Result;
 use scenesplat::objects::{Catalogue, Object, UprightBox};
 use scenesplat::query::Selection;
 use scenesplat_lab::compensation::Consumer;
-use serde_json::{Map, Value, json};
+use serde_json::{Value, json};
 use std::sync::{Arc, Mutex, PoisonError};
-
-/// Arguments of a tool.
-pub type Arguments = Map<String, Value>;
-
-/// What a tool answers.
-pub struct Answer {
-    /// What is said.
-    pub json: Value,
-    /// A picture.
-    pub png: Option<Vec<u8>>,
-}
 
 /// A labeled scene.
 pub struct Scene<'a> {
@@ -266,14 +255,5 @@ impl<'a> Scene<'a> {
             Some(place) => Ok(place),
             None => refuse!("there is no object {given}; objects are 1 to {count}"),
         }
-    }
-}
-
-/// A value as a word of the command line.
-pub fn word(value: &Value) -> String {
-    match value {
-        Value::String(text) => text.clone(),
-        Value::Array(values) => values.iter().map(word).collect::<Vec<_>>().join(","),
-        other => other.to_string(),
     }
 }

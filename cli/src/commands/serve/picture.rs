@@ -1,6 +1,6 @@
 //! Pictures of the scene, as `render` draws them.
 
-use super::answers::{Answer, Arguments, word};
+use super::tools::{Answer, Arguments, word};
 use crate::called::parse;
 use crate::commands::labelled::LabelArgs;
 use crate::commands::render;

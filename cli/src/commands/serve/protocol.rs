@@ -2,8 +2,8 @@
 //! another.
 
 use super::Args;
-use super::answers::{Answer, Scene};
-use super::tools::{self, Tool};
+use super::answers::Scene;
+use super::tools::{self, Answer, Tool};
 use crate::flags::Shared;
 use crate::progress::{interrupted, stop};
 use crate::session::Session;

@@ -138,7 +138,7 @@ impl Args {
 /// Runs the command.
 pub fn run(args: &Args) -> Result<()> {
     let (file, out) = args.file_and_folder()?;
-    if !file.is_file() {
+    if !file.exists() {
         refuse!(
             "{}: there is no such file; give the TOML file of an experiment, such as those in configs/, or with --resume the \
              folder of a run",
