@@ -60,7 +60,7 @@ pub fn combinations(axes: &[SweepAxis]) -> Result<Vec<Vec<String>>> {
     if runs.is_none_or(|runs| runs > MOST_RUNS) {
         let keys: Vec<&str> = axes.iter().map(|axis| axis.key.as_str()).collect();
         let problem = format!("more than {MOST_RUNS} trainings; give fewer values");
-        return Err(ExperimentError::setting(&keys.join(", "), problem));
+        return Err(ExperimentError::setting(keys.join(", "), problem));
     }
     let mut all = vec![Vec::new()];
     for SweepAxis { key, values } in axes {

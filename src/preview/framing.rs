@@ -178,7 +178,8 @@ impl Framing {
         let walls = SurroundingWalls::of(discs, self.low, self.high);
         let has_ceiling = self.covers(discs, 2, true);
         let is_high = self.high[2] - self.low[2] > LOWEST_ROOM;
-        if !has_ceiling && !(is_high && walls.is_open_above()) {
+        let is_open = is_high && walls.is_open_above();
+        if !has_ceiling && !is_open {
             return;
         }
         let extent = [0, 1, 2].map(|a| self.high[a] - self.low[a]);

@@ -23,7 +23,7 @@ const FARTHEST: f64 = 1.5;
 /// Largest standard deviation that counts, meters.
 const WIDEST: f64 = 0.5;
 /// Part of the cells around a hole that are covered.
-const ENCLOSED: f64 = 0.5;
+const ENCLOSED: f64 = 0.7;
 /// Part of the Gaussians of a surface that lies in its plane.
 const FLAT: f64 = 0.6;
 
@@ -77,8 +77,8 @@ pub struct Holes {
 type Cell = [i32; 2];
 
 /// Finds what the removed Gaussians hid: the cells of floor, walls and ceiling that have a removed Gaussian at most 1.2 m
-/// before them and nothing of what is left at most 12 cm away, where at least half of the cells around such cells are covered. A cell is closed by the Gaussians of the cell that mirrors it
-/// at the edge of the hole, else by those of the edge.
+/// before them and nothing of what is left at most 12 cm away, where at least 70 % of the cells around such cells are covered.
+/// A cell is closed by the Gaussians of the cell that mirrors it at the edge of the hole, else by those of the edge.
 ///
 /// `removed`: of each Gaussian. `[N]`. The same for any number of threads.
 ///
