@@ -33,7 +33,7 @@ mod spoken {
             let about = json!({
                 "protocolVersion": "2025-06-18", "capabilities": {}, "clientInfo": { "name": "test", "version": "1" }
             });
-            let begun = client.ask("initialize", about);
+            let begun = client.ask("initialize", &about);
             assert_eq!(begun["serverInfo"]["name"], "scenesplat");
             assert!(begun["capabilities"]["tools"].is_object(), "{begun}");
             client.send(&json!({ "jsonrpc": "2.0", "method": "notifications/initialized" }));
@@ -56,7 +56,7 @@ mod spoken {
         }
 
         /// The whole answer to a request.
-        fn answer(&mut self, method: &str, params: Value) -> Value {
+        fn answer(&mut self, method: &str, params: &Value) -> Value {
             self.last += 1;
             let id = self.last;
             self.send(&json!({ "jsonrpc": "2.0", "id": id, "method": method, "params": params }));
@@ -68,18 +68,18 @@ mod spoken {
             answer
         }
 
-        fn ask(&mut self, method: &str, params: Value) -> Value {
+        fn ask(&mut self, method: &str, params: &Value) -> Value {
             let answer = self.answer(method, params);
             assert!(answer["error"].is_null(), "{answer}");
             answer["result"].clone()
         }
 
-        fn call(&mut self, tool: &str, arguments: Value) -> Value {
-            self.ask("tools/call", json!({ "name": tool, "arguments": arguments }))
+        fn call(&mut self, tool: &str, arguments: &Value) -> Value {
+            self.ask("tools/call", &json!({ "name": tool, "arguments": arguments }))
         }
 
         /// What a tool answers.
-        fn told(&mut self, tool: &str, arguments: Value) -> Value {
+        fn told(&mut self, tool: &str, arguments: &Value) -> Value {
             let result = self.call(tool, arguments);
             assert_eq!(result["isError"], false, "{result}");
             let json = result["structuredContent"].clone();
@@ -92,14 +92,14 @@ mod spoken {
         }
 
         /// Why a tool answers nothing.
-        fn failed(&mut self, tool: &str, arguments: Value) -> String {
+        fn failed(&mut self, tool: &str, arguments: &Value) -> String {
             let result = self.call(tool, arguments);
             assert_eq!(result["isError"], true, "{result}");
             result["content"][0]["text"].as_str().unwrap().to_owned()
         }
 
         /// A picture, and what is said of it.
-        fn drawn(&mut self, arguments: Value) -> (Vec<u8>, Value) {
+        fn drawn(&mut self, arguments: &Value) -> (Vec<u8>, Value) {
             let result = self.call("picture", arguments);
             let picture = &result["content"][0];
             assert_eq!(
@@ -145,7 +145,7 @@ mod spoken {
         let all = table["objects"].as_array().unwrap();
         let mut client = Client::start(&format!("{room} --label-names {names}"));
 
-        let listed = client.ask("tools/list", json!({}));
+        let listed = client.ask("tools/list", &json!({}));
         let tools: Vec<&Value> = listed["tools"].as_array().unwrap().iter().collect();
         let of =
             |name: &str| tools.iter().map(|t| t[name].to_string()).collect::<Vec<_>>().join(" ");
@@ -156,14 +156,14 @@ mod spoken {
         }
         assert_eq!(tools[1]["inputSchema"]["required"], json!(["phrase"]));
 
-        let mut short = client.told("objects", json!({}));
+        let mut short = client.told("objects", &json!({}));
         for (object, whole) in short["objects"].as_array_mut().unwrap().iter_mut().zip(all) {
             object["box"]["corners"] = whole["box"]["corners"].clone();
         }
         assert_eq!(short, table);
 
         // A phrase means the same objects, whose Gaussians are counted.
-        let found = client.told("find", json!({ "phrase": "chair near the table" }));
+        let found = client.told("find", &json!({ "phrase": "chair near the table" }));
         let ids = |found: &Value| -> BTreeSet<u64> {
             found["objects"].as_array().unwrap().iter().map(|o| o["id"].as_u64().unwrap()).collect()
         };
@@ -183,37 +183,37 @@ mod spoken {
         );
         // How it was read is said each time that it is asked.
         for _ in 0..2 {
-            let taken = client.told("find", json!({ "phrase": "chiar" }));
+            let taken = client.told("find", &json!({ "phrase": "chiar" }));
             has(&taken["notes"].to_string(), &["is taken for"]);
             assert!(!ids(&taken).is_empty());
         }
-        let none = client.told("find", json!({ "phrase": "toilet" }));
+        let none = client.told("find", &json!({ "phrase": "toilet" }));
         assert_eq!(none["gaussians"]["count"], 0);
         has(&none["notes"].to_string(), &["none; there are: wall"]);
 
-        let one = client.told("measure", json!({ "from": 1 }));
+        let one = client.told("measure", &json!({ "from": 1 }));
         assert_eq!((&one["size"], &one["class"]), (&all[0]["box"]["size"], &all[0]["class"]));
         let [a, b] = [0, all.len() - 1].map(|i| numbers(&all[i]["position"]));
         let far = |a: &[f64], b: &[f64]| {
             a.iter().zip(b).map(|(a, b)| (a - b).powi(2)).sum::<f64>().sqrt()
         };
-        let objects = client.told("measure", json!({ "from": 1, "to": all.len() }));
+        let objects = client.told("measure", &json!({ "from": 1, "to": all.len() }));
         assert!((objects["distance"].as_f64().unwrap() - far(&a, &b)).abs() < 1e-9, "{objects}");
         assert!(objects["gap"].as_f64() <= objects["distance"].as_f64());
-        let points = client.told("measure", json!({ "from": [0, 0, 0], "to": [3, 4, 12] }));
+        let points = client.told("measure", &json!({ "from": [0, 0, 0], "to": [3, 4, 12] }));
         assert_eq!((points["distance"].as_f64(), points["gap"].as_f64()), (Some(13.0), Some(13.0)));
-        let inside = client.told("measure", json!({ "from": all.len(), "to": b }));
+        let inside = client.told("measure", &json!({ "from": all.len(), "to": b }));
         assert_eq!(inside["gap"].as_f64(), Some(0.0));
 
         // The same bits as `render`, also where the program chooses where to stand.
         let place = json!({ "eye": [0.5, 0.25, 1.5], "target": [1.0, 1.0, 1.0], "fov": 70, "size": "96x64" });
-        let (png, about) = client.drawn(place);
+        let (png, about) = client.drawn(&place);
         done(&run!(
             "render {room} --eye 0.5,0.25,1.5 --target 1,1,1 --fov 70 --size 96x64 --out {out}"
         ));
         assert!(png == bytes(folder.path("out/view.png")) && about["notes"].is_null(), "{about}");
         let chair = ids(&found).into_iter().next().unwrap();
-        let (png, about) = client.drawn(json!({ "object": chair, "size": "96x64" }));
+        let (png, about) = client.drawn(&json!({ "object": chair, "size": "96x64" }));
         let at = &all[chair as usize - 1];
         assert_eq!((&about["target"], &about["class"]), (&at["position"], &at["class"]));
         let (eye, target) = (spaced(&about["eye"]), spaced(&about["target"]));
@@ -230,7 +230,7 @@ mod spoken {
         let apart = |(a, b): (&[u8; 3], &[u8; 3])| (0..3).any(|k| a[k].abs_diff(b[k]) > 20);
         let other = seen.pixels().iter().zip(without.pixels()).filter(|both| apart(*both)).count();
         assert!(other > 96 * 64 / 10, "{other} pixels");
-        let (_, about) = client.drawn(json!({ "eye": [0, 0, 500], "target": [0, 0, 501] }));
+        let (_, about) = client.drawn(&json!({ "eye": [0, 0, 500], "target": [0, 0, 501] }));
         assert_eq!(
             (&about["notes"][0], &about["size"]),
             (&"the picture shows no Gaussian".into(), &json!([640, 480]))
@@ -251,7 +251,7 @@ mod spoken {
             folder.at("out")
         );
         let due = refused(&by_hand, 2, &["left of"]);
-        let text = client.failed("find", json!({ "phrase": "table left of a wall" }));
+        let text = client.failed("find", &json!({ "phrase": "table left of a wall" }));
         has(&due, &[&format!("error: {text}\n")]);
         for (tool, arguments, part) in [
             ("find", json!({}), "phrase: a text is expected"),
@@ -285,19 +285,19 @@ mod spoken {
             ("picture", json!({ "object": 1, "size": "0x5" }), "is no size; write 640x480"),
             ("picture", json!({ "object": 1, "size": "--out" }), "is no size; write 640x480"),
         ] {
-            has(&client.failed(tool, arguments), &[part]);
+            has(&client.failed(tool, &arguments), &[part]);
         }
-        let unknown = client.answer("tools/call", json!({ "name": "delete", "arguments": {} }));
+        let unknown = client.answer("tools/call", &json!({ "name": "delete", "arguments": {} }));
         has(
             unknown["error"]["message"].as_str().unwrap(),
             &["there is no tool \"delete\"", "measure"],
         );
         assert!(
-            client.answer("resources/read", json!({ "uri": "file:///etc/passwd" }))["error"]
+            client.answer("resources/read", &json!({ "uri": "file:///etc/passwd" }))["error"]
                 .is_object()
         );
         // It goes on after all of these.
-        assert!(client.told("measure", json!({ "from": 1 }))["size"].is_array());
+        assert!(client.told("measure", &json!({ "from": 1 }))["size"].is_array());
         let (code, rest, told) = client.end();
         assert_eq!((code, rest.as_str(), told.as_str()), (Some(0), "", ""));
     }
@@ -308,7 +308,7 @@ mod spoken {
         let [room, texts] = ["room.ply", "classes.safetensors"].map(asset_at);
         let flags = format!("{TINY} --text {texts}");
         let mut client = Client::start(&format!("{room} {flags}"));
-        let found = client.told("query", json!({ "phrase": "chair" }));
+        let found = client.told("query", &json!({ "phrase": "chair" }));
         let said =
             printed(&run!("query {room} chair {flags} {SMALL_PICTURE} --out {}", folder.at("out")));
         let selected = labels(folder.path("out/selection.npy"));
@@ -317,11 +317,11 @@ mod spoken {
         assert_eq!(found["gaussians"]["count"], count);
         has(&said, &[&format!("best score {:.4}", found["best_score"].as_f64().unwrap())]);
         has(
-            &client.failed("query", json!({ "phrase": "spaceship" })),
+            &client.failed("query", &json!({ "phrase": "spaceship" })),
             &["is not among the", "nearest:"],
         );
         // What makes labels doubtful is told with them.
-        has(&client.told("objects", json!({}))["warnings"].to_string(), &["SEEDED WEIGHTS (0)"]);
+        has(&client.told("objects", &json!({}))["warnings"].to_string(), &["SEEDED WEIGHTS (0)"]);
         assert_eq!(client.end().0, Some(0));
     }
 
@@ -331,7 +331,7 @@ mod spoken {
         let (room, names) = (folder.room("room.ply", 4_000, 9), folder.names());
         let flags = format!("{room} --label-names {names}");
         let mut client = Client::start(&flags);
-        client.told("objects", json!({}));
+        client.told("objects", &json!({}));
         let kill =
             Command::new("kill").args(["-INT", &client.child.id().to_string()]).status().unwrap();
         assert!(kill.success());
