@@ -3,7 +3,7 @@
 use crate::preview::{
     BACKGROUND, INK, Orbit, SceneRows, UNLABELLED_COLOR, class_color, fill, picture_of, text,
 };
-use scenesplat_objects::{Catalogue, is_building};
+use scenesplat_objects::{Catalogue, is_building, is_kind};
 use scenesplat_rasterizer::{Gaussians, RasterError, RasterSettings, RenderRequest, View, render};
 use scenesplat_scene::gaussian_scene::SH_C0;
 use scenesplat_scene::picture::RgbPicture;
@@ -62,7 +62,12 @@ pub fn object_picture(
     let columns = listed.len().div_ceil(LINES).clamp(1, COLUMNS) as u32;
     let mut picture = RgbPicture::filled(VIEW[0] + columns * LIST, VIEW[1], BACKGROUND);
     let Some(camera) = orbit.cameras.first() else { return Ok(picture) };
-    let Some(view) = draw_scene(scene, &colors, &orbit, camera)? else { return Ok(picture) };
+    // Where walls are known, they are left out before the camera, and nothing else.
+    let walls: Vec<bool> = catalogue.objects.iter().map(|o| is_kind(&o.class, "wall")).collect();
+    let is_wall = |id: &i32| usize::try_from(*id).is_ok_and(|id| walls[id]);
+    let walls = walls.contains(&true).then(|| instances.iter().map(is_wall).collect::<Vec<_>>());
+    let drawn = draw_scene(scene, &colors, &orbit, camera, walls.as_deref())?;
+    let Some(view) = drawn else { return Ok(picture) };
     for (x, y, color) in view.enumerate() {
         picture.set(x, y, color);
     }
@@ -79,17 +84,22 @@ pub fn object_picture(
     Ok(picture)
 }
 
-/// The scene without its ceiling and haze; `None` if nothing of it is left.
+/// The scene without its ceiling, near walls and haze; `None` if nothing of it is left. `walls`: whether each Gaussian is of a
+/// wall; without, all that is near is left out.
 fn draw_scene(
     scene: &GaussianScene,
     colors: &[[u8; 3]],
     orbit: &Orbit,
     camera: &Camera,
+    walls: Option<&[bool]>,
 ) -> Result<Option<RgbPicture>, RasterError> {
     let size = (0..3).map(|a| camera.centre()[a].powi(2)).sum::<f64>().sqrt().max(1.0);
     let is_drawn = |&row: &usize| {
         let c = scene.coord[row];
-        let hidden = orbit.ceiling.as_ref().is_some_and(|ceiling| ceiling.hides(c));
+        let is_before = |near: f64| camera.to_camera(c.map(f64::from))[2] < near;
+        let is_near_wall =
+            walls.is_some_and(|walls| walls[row]) && orbit.near.is_some_and(is_before);
+        let hidden = is_near_wall || orbit.ceiling.as_ref().is_some_and(|ceiling| ceiling.hides(c));
         let haze = scene.scale(row).iter().any(|&s| f64::from(s) > HAZE * size);
         c.iter().all(|v| v.is_finite()) && !hidden && !haze
     };
@@ -106,7 +116,7 @@ fn draw_scene(
         antialiased: scene.antialiased,
         ..RasterSettings::gsplat_1_6()
     };
-    if let Some(near) = orbit.near {
+    if let Some(near) = orbit.near.filter(|_| walls.is_none()) {
         settings.near = near.max(1e-6) as f32;
     }
     settings.background = Some(BACKGROUND.map(|v| f32::from(v) / 255.0));

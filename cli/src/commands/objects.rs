@@ -18,6 +18,7 @@ use scenesplat::objects::colliders::{
     ColliderSettings, Colliders, REACH, colliders, colliders_glb,
 };
 use scenesplat::objects::{Catalogue, Floor, Object, ObjectInput, boxes, is_building, table};
+use scenesplat::phrases::shortened;
 use scenesplat::preview::write_png;
 use scenesplat::scene::formats::inria_ply::write_inria_ply;
 use scenesplat::scene::{AtomicFile, GaussianScene, printable_text};
@@ -288,6 +289,7 @@ fn with_instances(labelled: &Labelled, found: &Catalogue) -> GaussianScene {
 
 fn answer(asking: &Asking<'_>, phrase: &str) -> Result<String> {
     let (places, found) = (asking.meant(phrase)?, asking.found);
+    let phrase = shortened(phrase);
     if places.is_empty() {
         return Ok(format!("{phrase:?}: none; {}", asking.there_are()));
     }

@@ -136,8 +136,11 @@ impl Callback for Console {
             Event::Eval { name, measurements } => {
                 let prefix = format!("{name}/");
                 let short = |n: &str| n.strip_prefix(&prefix).unwrap_or(n).to_owned();
+                // What labels would give that nothing loses: the log has it.
+                let is_oracle = |m: &&Measurement| m.name.split('/').any(|part| part == "oracle");
                 let values: Vec<String> = measurements
                     .iter()
+                    .filter(|m| !is_oracle(m))
                     .map(|m| format!("{} {:.4}", short(&m.name), m.value))
                     .collect();
                 self.say(&format!("step {}: {name}: {}", at.step, values.join(", ")));

@@ -9,6 +9,7 @@ use crate::terminal::print;
 use anyhow::Result;
 use scenesplat::objects::holes::{Hole, Holes, holes};
 use scenesplat::outputs::write_scene_preview;
+use scenesplat::phrases::shortened;
 use scenesplat::preview::{LegendEntry, PreviewSettings};
 use scenesplat::scene::formats::inria_ply::write_inria_ply_with;
 use scenesplat::scene::{GaussianScene, WriteOptions};
@@ -71,6 +72,7 @@ impl Edit<'_> {
         for phrase in self.args.remove.iter().chain(&self.args.keep) {
             let places = self.asking.meant(phrase)?;
             if places.is_empty() {
+                let phrase = shortened(phrase);
                 print(&format!("{phrase:?}: none; {}", self.asking.there_are()));
             }
             for place in places {

@@ -5,6 +5,7 @@ use crate::session::Session;
 use crate::terminal::print;
 use anyhow::Result;
 use scenesplat::outputs::{OpenedScene, ResultColumns, write_colored_ply};
+use scenesplat::phrases::shortened;
 use scenesplat::preview::LegendEntry;
 use scenesplat::query::{OTHERS_COLOR, SELECTED_COLOR, Selection};
 
@@ -33,16 +34,17 @@ pub fn write(
     let count = selected.iter().filter(|s| **s == 1).count() as u64;
     let others = selected.len() as u64 - count;
     let entries = [
-        LegendEntry { name: args.query.clone(), color: SELECTED_COLOR, count },
+        LegendEntry { name: shortened(&args.query), color: SELECTED_COLOR, count },
         LegendEntry { name: "everything else".to_owned(), color: OTHERS_COLOR, count: others },
     ];
-    let title = format!("\"{}\"{}", args.query, remark);
+    let title = format!("\"{}\"{}", shortened(&args.query), remark);
     let up = session.up(opened, &args.inference);
     session.write_preview(scene, &colors, &entries, title, up, args.preview)
 }
 
 /// Prints how much was found and where.
 pub fn describe(query: &str, found: &Selection, coord: &[[f32; 3]]) {
+    let query = shortened(query);
     let best = found.best_score().unwrap_or(f32::NEG_INFINITY);
     let Some(place) = found.place(coord) else {
         print(&format!("{query:?}: nothing selected; the best score is {best:.4}"));
