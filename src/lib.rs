@@ -18,6 +18,7 @@
 //! let network = Network::load(embedded::config()?, &Weights::Embedded, WeightOptions::default())?;
 //! let features = SceneEncoder::new(&network).encode(&room.scene, &mut |_| Ok(()))?;
 //! assert_eq!(features.width(), embedded::vocabulary()?.dim());
+//! assert_eq!(features.tensor(0..2)?.dims(), [2, features.width()]);
 //! let first = features.gaussian_rows(0..1)?;
 //! assert!((first.iter().map(|v| v * v).sum::<f32>() - 1.0).abs() < 1e-5);
 //! # Ok(())

@@ -36,6 +36,7 @@ use rows::{discs_of, visible_rows};
 pub use scenesplat_scene::LookAt;
 use scenesplat_scene::picture::RgbPicture;
 use scenesplat_scene::{Up, WriteError};
+use splats::Drawn;
 use std::path::Path;
 
 /// Why there is no preview.
@@ -122,6 +123,8 @@ pub fn render_preview(
     let (kept, shown): (Vec<usize>, Vec<Disc>) =
         kept.into_iter().zip(discs).filter(|(_, d)| framing.shows(d.centre)).unzip();
 
+    let drawn = Drawn::of(rows, &kept, shown, framing.top().size);
+
     let legend_width = if legend.is_empty() { 0 } else { LEGEND_WIDTH };
     let width = 2 * view + 3 * MARGIN + legend_width;
     let warnings = warning_lines(&settings.warnings);
@@ -132,7 +135,7 @@ pub fn render_preview(
 
     for (left, lens) in [(MARGIN, framing.perspective()), (right, framing.top())] {
         let mut canvas = Canvas::new(view);
-        splats::draw_or_discs(rows, &kept, &shown, upright, &lens, &mut canvas);
+        drawn.draw(upright, &lens, &mut canvas);
         canvas.copy_to(&mut picture, left, top);
     }
 

@@ -22,7 +22,7 @@ export interface About {
   relations: [number, string, number][];
   texts: string[];
   colorWords: string[];
-  groups: { name: string; members: number[] }[];
+  groups: { name: string; members: number[]; purposes?: string[] }[];
   /** Articles, and names with their classes, in German and French. */
   foreign: { articles: string[]; names: [string, number][] };
   /** Words that deny what follows. */

@@ -93,7 +93,7 @@ export class PhraseBook {
   private texts = new Map<string, number>();
   private phrases = new Map<string, number>();
   private groups = new Map<string, number[]>();
-  private purposes: { members: number[]; purposes?: string[] }[];
+  private purposes: SceneData["about"]["groups"];
   private known = new Set<string>();
   private colors: Set<string>;
   private articles: Set<string>;

@@ -40,6 +40,8 @@ export interface Box {
 }
 
 export interface Room extends Box {
+  /** The sides that are walls or a ceiling, a bit for each. */
+  mask: number;
   /** The sides that each Gaussian is cut away with, a bit for each. [N] */
   sides: Uint8Array;
 }
@@ -49,7 +51,7 @@ export function facing(room: Room, eye: readonly number[]): number {
   const at = turned(eye, room.yaw);
   let bits = 0;
   for (let s = 0; s < FLOOR; s++) if (beyond(room, s, at) > 0) bits |= 1 << s;
-  return bits;
+  return bits & room.mask;
 }
 
 /** From how far the whole box is in the picture. `yaw`, `pitch`: where the camera looks, radians; `slopes`: half the width
@@ -90,7 +92,7 @@ export function roomOf(data: SceneData): Room | null {
   if (mask === 0) return null;
   if (!labeled && (shares[FLOOR] < least || count < LEAST_SIDES || cornersOf(box, inside) < LEAST_CORNERS)) return null;
   for (let i = 0; i < sides.length; i++) sides[i] &= mask;
-  return { ...box, sides };
+  return { ...box, mask, sides };
 }
 
 /** The sides that each Gaussian belongs to, and how much of each side they cover. */

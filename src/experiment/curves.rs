@@ -12,6 +12,7 @@ use scenesplat_trainers::callbacks::LoggedValue;
 use serde::Serialize;
 use serde_json::json;
 use shown::{Curve, Shown};
+pub(super) use shown::{LOSS, values_of};
 use std::path::Path;
 
 /// Parts of a long curve, of which the page has two points each.

@@ -10,6 +10,7 @@ use super::identity::identity;
 use super::measured::with_measured_effects;
 use super::module::{Opened, Work, optimizer, schedule};
 use super::record::{RunRecord, write};
+use super::sweep::RunOutcome;
 use super::teacher::TeacherRecord;
 use candle_core::Device;
 use scenesplat_datasets::TrainBatch;
@@ -17,8 +18,8 @@ use scenesplat_scene::FolderLock;
 use scenesplat_trainers::callbacks::{JsonLines, TensorBoard, read_json_lines, write_csv};
 use scenesplat_trainers::checkpoint::newest_checkpoint;
 use scenesplat_trainers::{
-    Alone, Callback, Collective, Criterion, DataModule, Identity, Progress, Trainer, TrainerConfig,
-    TrainingModule,
+    Alone, Callback, CheckpointConfig, Collective, DataModule, Identity, Progress, Trainer,
+    TrainerConfig, TrainingModule,
 };
 use std::cell::RefCell;
 use std::path::{Path, PathBuf};
@@ -53,6 +54,8 @@ pub struct RunOptions {
 pub struct RunReport {
     /// Where it stopped.
     pub progress: Progress,
+    /// The last loss and the best measurement; empty on ranks that write nothing.
+    pub outcome: RunOutcome,
     /// The network, as `--weights` takes it.
     pub model: PathBuf,
     /// The curves as a picture; beside it a page of the same name.
@@ -138,12 +141,14 @@ pub fn train_with(
     let (progress, (model, more)) = opened.with_module(config, &run)?;
     let mut remarks = opened.remarks;
     let curves = options.out.join("curves.png");
-    if leads {
-        draw_curves(&options.out, &curves, config.trainer.checkpoint.best.as_ref())?;
-    }
+    let selection = &config.trainer.checkpoint;
+    let outcome = match leads {
+        true => draw_curves(&options.out, &curves, selection)?,
+        false => RunOutcome::default(),
+    };
     remarks.extend(more);
     remarks.extend(opened.teacher.and_then(|teacher| teacher.record.remark()));
-    Ok(RunReport { progress, model, curves, remarks })
+    Ok(RunReport { progress, outcome, model, curves, remarks })
 }
 
 /// The checkpoint that the run goes on from.
@@ -156,8 +161,9 @@ fn to_resume(options: &RunOptions, checkpoints: &Path) -> Result<Option<PathBuf>
     }
 }
 
-/// Writes what was logged as a picture, as a page beside it, and as a table.
-fn draw_curves(out: &Path, curves: &Path, selected: Option<&Criterion>) -> Result<()> {
+/// Writes what was logged as a picture, as a page beside it, and as a table; gives what came of the training.
+fn draw_curves(out: &Path, curves: &Path, selection: &CheckpointConfig) -> Result<RunOutcome> {
+    let selected = selection.best.as_ref();
     let log = read_json_lines(&out.join("metrics.jsonl"))?;
     if !log.is_empty() {
         let title = out.file_name().map_or("run".into(), |n| n.to_string_lossy());
@@ -165,7 +171,7 @@ fn draw_curves(out: &Path, curves: &Path, selected: Option<&Criterion>) -> Resul
         write_curves_page(&log, selected, &title, &curves.with_extension("html"))?;
         write_csv(&log, &out.join("metrics.csv"))?;
     }
-    Ok(())
+    Ok(RunOutcome::of(&log, selection))
 }
 
 /// What `fit` needs of a run, whatever its task.

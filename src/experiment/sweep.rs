@@ -1,11 +1,9 @@
 //! Trainings that differ in some settings, and what came of each.
 
 use super::ExperimentError;
-use scenesplat_metrics::Measurement;
+use super::curves::{LOSS, values_of};
 use scenesplat_trainers::CheckpointConfig;
-use scenesplat_trainers::callbacks::{LoggedValue, read_json_lines};
-use std::collections::BTreeMap;
-use std::path::Path;
+use scenesplat_trainers::callbacks::LoggedValue;
 
 type Result<T, E = ExperimentError> = std::result::Result<T, E>;
 
@@ -88,8 +86,6 @@ pub fn folder_name(number: usize, changes: &[String]) -> String {
 /// What came of a training, from its log.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct RunOutcome {
-    /// Optimizer steps done.
-    pub steps: u64,
     /// The last loss.
     pub loss: Option<f64>,
     /// The best value of the measurement that selects the best checkpoint, and the step that it was measured at.
@@ -97,41 +93,33 @@ pub struct RunOutcome {
 }
 
 impl RunOutcome {
-    /// Reads `metrics.jsonl` of the folder of a training.
-    ///
-    /// # Errors
-    /// If there is no such file or it cannot be read.
-    pub fn read(selection: &CheckpointConfig, folder: &Path) -> Result<Self> {
-        let log = read_json_lines(&folder.join("metrics.jsonl"))?;
-        let mut by_step: BTreeMap<u64, Vec<Measurement>> = BTreeMap::new();
-        for LoggedValue { step, name, value, .. } in &log {
-            by_step.entry(*step).or_default().push(Measurement::new(name, *value));
-        }
-        let value = |(step, found): (&u64, &Vec<Measurement>)| {
-            let value = selection.best.as_ref()?.value(found)?;
-            value.is_finite().then_some((value, *step))
-        };
+    /// From what was logged.
+    pub(super) fn of(log: &[LoggedValue], selection: &CheckpointConfig) -> Self {
+        let values = selection.best.as_ref().map(|best| values_of(log, best)).unwrap_or_default();
         let sign = if selection.smaller_is_better { -1.0 } else { 1.0 };
         // Of equals the first, as the trainer keeps it.
         let better = |a: (f64, u64), b: (f64, u64)| if sign * b.0 > sign * a.0 { b } else { a };
-        let last = log.iter().rev().find(|value| value.name == "train/loss");
-        Ok(Self {
-            steps: log.last().map_or(0, |value| value.step),
+        let last = log.iter().rev().find(|value| value.name == LOSS);
+        Self {
             loss: last.map(|value| value.value),
-            best: by_step.iter().filter_map(value).reduce(better),
-        })
+            best: values
+                .into_iter()
+                .map(|(step, value)| (value, step))
+                .filter(|(value, _)| value.is_finite())
+                .reduce(better),
+        }
     }
 }
 
 /// Place of the best of some outcomes: by the measurement that selects, else by the last loss. `None` without either.
-pub fn best_of(selection: &CheckpointConfig, outcomes: &[Option<RunOutcome>]) -> Option<usize> {
+pub fn best_of(selection: &CheckpointConfig, outcomes: &[Option<&RunOutcome>]) -> Option<usize> {
     let score = |outcome: &RunOutcome| match (&selection.best, outcome.best, outcome.loss) {
         (Some(_), best, _) if selection.smaller_is_better => best.map(|(value, _)| -value),
         (Some(_), best, _) => best.map(|(value, _)| value),
         (None, _, loss) => loss.filter(|loss| loss.is_finite()).map(|loss| -loss),
     };
     let scored = (outcomes.iter().enumerate())
-        .filter_map(|(i, outcome)| Some((i, outcome.as_ref().and_then(score)?)));
+        .filter_map(|(i, outcome)| Some((i, outcome.and_then(score)?)));
     // Of equals the first.
     scored.reduce(|a, b| if b.1 > a.1 { b } else { a }).map(|(i, _)| i)
 }
@@ -176,7 +164,10 @@ mod tests {
     #[test]
     fn the_best_is_what_the_trainer_selects_by() {
         let outcome = |best: Option<f64>, loss: f64| {
-            Some(RunOutcome { steps: 5, loss: Some(loss), best: best.map(|v| (v, 5)) })
+            Some(RunOutcome { loss: Some(loss), best: best.map(|v| (v, 5)) })
+        };
+        let best_of = |selection: &CheckpointConfig, found: &[Option<RunOutcome>]| {
+            super::best_of(selection, &found.iter().map(Option::as_ref).collect::<Vec<_>>())
         };
         let mut selection = CheckpointConfig::default();
         let found =
@@ -188,5 +179,31 @@ mod tests {
         selection.best = None;
         assert_eq!(best_of(&selection, &found), Some(3));
         assert_eq!(best_of(&selection, &[None, outcome(None, f64::NAN)]), None);
+    }
+
+    #[test]
+    fn of_a_log_the_first_best_value_and_the_last_loss_count() {
+        let value =
+            |step, name: &str, value| LoggedValue { step, epoch: 0, name: name.to_owned(), value };
+        let log = [
+            value(1, LOSS, 3.0),
+            value(1, "a/x", 0.5),
+            value(2, "a/x", f64::NAN),
+            value(3, "a/x", 0.9),
+            value(3, "b/x", 0.1),
+            value(4, "a/x", 0.9),
+            value(4, LOSS, 2.0),
+        ];
+        let of = |best: Option<&str>, smaller_is_better| {
+            let best = best.map(Into::into);
+            RunOutcome::of(
+                &log,
+                &CheckpointConfig { best, smaller_is_better, ..CheckpointConfig::default() },
+            )
+        };
+        assert_eq!(of(Some("a/x"), false), RunOutcome { loss: Some(2.0), best: Some((0.9, 3)) });
+        assert_eq!(of(Some("a/x"), true).best, Some((0.5, 1)));
+        assert_eq!((of(None, false).best, of(Some("c/x"), false).best), (None, None));
+        assert_eq!(RunOutcome::of(&[], &CheckpointConfig::default()), RunOutcome::default());
     }
 }

@@ -122,7 +122,7 @@ impl Words {
             }
             colors = ColorName::ALL.iter().map(|c| c.word()).collect();
             let (articles, named) = foreign_names();
-            let named = named.into_iter().map(|(name, class)| (name, class.index()));
+            let named = named.iter().map(|(name, class)| (name.clone(), class.index()));
             foreign = (articles.to_vec(), named.collect());
         }
         Ok(Self { phrases: PhraseTable::embedded_phrases(), near, groups, colors, foreign })

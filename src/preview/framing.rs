@@ -64,8 +64,6 @@ pub(super) struct Framing {
 struct Room {
     has_ceiling: bool,
     walls: SurroundingWalls,
-    /// Where the wall at the high side of the first axis begins, if there is one.
-    right: Option<f64>,
 }
 
 /// Where the perspective view of a preview looks to, level, from the side of low x and y.
@@ -145,7 +143,7 @@ impl Framing {
     /// The same for cameras that look to these azimuths, degrees: a closed room is cut open for any, one without a ceiling
     /// if its walls stand before most of them.
     pub(super) fn is_cut_open_for(&self, azimuths: &[f64]) -> bool {
-        let Some(Room { has_ceiling, walls, .. }) = &self.room else { return false };
+        let Some(Room { has_ceiling, walls }) = &self.room else { return false };
         let hidden = azimuths.iter().filter(|azimuth| walls.hide_from(**azimuth)).count();
         *has_ceiling || 2 * hidden > azimuths.len()
     }
@@ -161,8 +159,9 @@ impl Framing {
     }
 
     /// Where the wall at the high side of the first axis begins, if there is one.
-    pub(super) fn right_wall(&self) -> Option<f64> {
-        self.room.as_ref()?.right
+    pub(super) fn right_wall(&self, discs: &[Disc]) -> Option<f64> {
+        self.room.as_ref()?;
+        self.covers(discs, 0, true).then(|| self.high[0] - self.thickness(discs, 0, true))
     }
 
     pub(super) fn shows(&self, p: [f32; 3]) -> bool {
@@ -183,14 +182,12 @@ impl Framing {
             return;
         }
         let extent = [0, 1, 2].map(|a| self.high[a] - self.low[a]);
-        let right =
-            self.covers(discs, 0, true).then(|| self.high[0] - self.thickness(discs, 0, true));
         for axis in [0, 1] {
             if self.covers(discs, axis, false) {
                 self.draw_low[axis] = self.low[axis] + self.thickness(discs, axis, false);
             }
         }
-        self.room = Some(Room { has_ceiling, walls, right });
+        self.room = Some(Room { has_ceiling, walls });
         if has_ceiling {
             self.draw_high[2] = self.high[2] - 0.12 * extent[2];
         }

@@ -4,7 +4,8 @@ use super::discs::{Canvas, Disc, Lens};
 use super::framing::{Framing, LOWEST_ROOM, Upright};
 use super::legend::draw_scale_bar;
 use super::rows::{PreviewRows, discs_of, visible_rows};
-use super::{FAINT_INK, splats, text};
+use super::splats::Drawn;
+use super::{FAINT_INK, text};
 use scenesplat_scene::Up;
 use scenesplat_scene::picture::RgbPicture;
 
@@ -82,7 +83,9 @@ impl<'a> LevelViews<'a> {
         let is_cut = match from {
             _ if !is_room => None,
             Viewpoint::Front => cut_low[1].inspect(|&v| low[1] = low[1].max(v)),
-            Viewpoint::Right => self.framing.right_wall().inspect(|&v| high[0] = high[0].min(v)),
+            Viewpoint::Right => {
+                self.framing.right_wall(&self.discs).inspect(|&v| high[0] = high[0].min(v))
+            }
             Viewpoint::Above => cut_high[2].inspect(|&v| high[2] = high[2].min(v)),
         }
         .is_some();
@@ -101,7 +104,7 @@ impl<'a> LevelViews<'a> {
             near: 0.0,
         };
         let mut canvas = Canvas::new(view);
-        splats::draw_or_discs(&self.rows, &kept, &shown, self.upright, &lens, &mut canvas);
+        Drawn::of(&self.rows, &kept, shown, size).draw(self.upright, &lens, &mut canvas);
         canvas.copy_to(picture, left, top);
         // What is drawn reaches under bar, axes and name; they stand on a ground of their own.
         super::fill(picture, [left, top + view - 36], [view / 4 + 20, 36], LABEL_GROUND);

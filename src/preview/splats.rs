@@ -20,22 +20,29 @@ const LARGEST: f64 = 0.5;
 /// Scenes of fewer Gaussians are drawn whole.
 const FEW: usize = 100;
 
-/// Draws rows with their shapes; what has none, or the renderer refuses, such as far too many large Gaussians, as discs: a
-/// picture to look at is no reason to fail.
-pub(super) fn draw_or_discs(
-    rows: &PreviewRows<'_>,
-    kept: &[usize],
-    discs: &[Disc],
-    upright: Upright,
-    lens: &Lens,
-    canvas: &mut Canvas,
-) {
-    let rendered = rows.shapes.map(|shapes| {
-        let gaussians = gather(rows, &shapes, kept, lens.size);
-        draw(&gaussians, shapes.antialiased, upright, lens, canvas)
-    });
-    if !matches!(rendered, Some(Ok(()))) {
-        canvas.draw(discs, lens);
+/// What is drawn: discs, and where rows have shapes Gaussians.
+pub(super) struct Drawn {
+    discs: Vec<Disc>,
+    /// With whether they make up for the low-pass of the picture.
+    gaussians: Option<(Gaussians, bool)>,
+}
+
+impl Drawn {
+    /// The rows of `kept`; `size`: extent of what is shown.
+    pub(super) fn of(rows: &PreviewRows<'_>, kept: &[usize], discs: Vec<Disc>, size: f64) -> Self {
+        let gaussians =
+            rows.shapes.map(|shapes| (gather(rows, &shapes, kept, size), shapes.antialiased));
+        Self { discs, gaussians }
+    }
+
+    /// Draws a view. What the renderer refuses, such as far too many large Gaussians, is drawn as discs: a picture to look at
+    /// is no reason to fail.
+    pub(super) fn draw(&self, upright: Upright, lens: &Lens, canvas: &mut Canvas) {
+        let rendered = (self.gaussians.as_ref())
+            .map(|(gaussians, antialiased)| draw(gaussians, *antialiased, upright, lens, canvas));
+        if !matches!(rendered, Some(Ok(()))) {
+            canvas.draw(&self.discs, lens);
+        }
     }
 }
 

@@ -84,7 +84,7 @@ impl SurroundingWalls {
         };
         let near: Vec<usize> = (0..SECTORS).filter(is_near).collect();
         let walls = near.iter().filter(|&&sector| self.sectors[sector]).count() as f64;
-        !near.is_empty() && walls >= NEAR_SHARE * near.len() as f64
+        walls >= NEAR_SHARE * near.len() as f64
     }
 }
 

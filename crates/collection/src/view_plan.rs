@@ -6,7 +6,7 @@ use glam::{DMat3, DVec3};
 use scenesplat_kernels::neighbors::KdTree;
 use scenesplat_rasterizer::{Gaussians, View};
 use scenesplat_scene::quantile::quantile;
-use scenesplat_scene::{Camera, Distortion, Up};
+use scenesplat_scene::{Camera, Up};
 
 /// Opacity from which on a Gaussian is in the way.
 const SOLID: f32 = 0.3;
@@ -229,26 +229,13 @@ impl<'a> Planner<'a> {
         out
     }
 
-    fn camera(&self, candidate: &Candidate, name: String, [width, height]: [u32; 2]) -> Camera {
+    fn camera(&self, candidate: &Candidate, name: String, size: [u32; 2]) -> Camera {
         let forward = direction(candidate.azimuth, candidate.pitch);
         let right = DVec3::new(candidate.azimuth.sin(), -candidate.azimuth.cos(), 0.0);
         let back = self.upright.transpose();
         let axes = [right, forward.cross(right), forward].map(|axis| back * axis);
         let eye = back * candidate.eye;
-        let focal =
-            f64::from(width.min(height)) / (2.0 * (self.settings.fov / 2.0).to_radians().tan());
-        Camera {
-            name,
-            width,
-            height,
-            fx: focal,
-            fy: focal,
-            cx: f64::from(width) / 2.0,
-            cy: f64::from(height) / 2.0,
-            distortion: Distortion::None,
-            rotation: axes.map(|axis| axis.to_array()),
-            translation: axes.map(|axis| -axis.dot(eye)),
-        }
+        Camera::pinhole(name, size, self.settings.fov, eye, axes)
     }
 
     fn pick(&self, candidates: &[Candidate], outside: bool) -> Result<ViewPlan, CollectError> {

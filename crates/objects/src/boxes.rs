@@ -57,11 +57,10 @@ fn annotation(o: &Object, input: &ObjectInput<'_>) -> Value {
 fn axes(o: &Object, input: &ObjectInput<'_>) -> [[f64; 3]; 3] {
     let (s, c) = o.bounds.yaw.sin_cos();
     let own = [[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]];
-    let up = &input.upright;
-    // Adding 0 makes no −0 of a product with 0.
-    let along =
-        |axis: [f64; 3], row: usize| (0..3).map(|k| up[k][row] * axis[k]).sum::<f64>() + 0.0;
-    [0, 1, 2].map(|row| own.map(|axis| along(axis, row)))
+    // Directions have no unit.
+    let in_scene = ObjectInput { metres_per_unit: 1.0, ..*input };
+    let own = own.map(|axis| in_scene.to_scene(axis));
+    [0, 1, 2].map(|row| own.map(|axis| axis[row]))
 }
 
 #[cfg(test)]

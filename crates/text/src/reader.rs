@@ -96,9 +96,10 @@ impl Reading {
         self.in_colors(class)
     }
 
-    /// The classes that are as [`near`](Self::near), in the colors of the phrase: texts that the vocabulary knows.
+    /// The first classes that are as [`near`](Self::near) and like the phrase, in its colors: texts that the vocabulary knows.
     pub fn near_texts(&self) -> Vec<String> {
-        self.near().map(|near| self.in_colors(Some(near.class.about().name))).collect()
+        let alike = self.near().filter(|near| near.similarity >= ALIKE).take(MOST_NEAR);
+        alike.map(|near| self.in_colors(Some(near.class.about().name))).collect()
     }
 
     fn in_colors(&self, class: Option<&str>) -> String {

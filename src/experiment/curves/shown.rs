@@ -6,7 +6,7 @@ use scenesplat_trainers::callbacks::LoggedValue;
 use std::collections::{BTreeMap, HashMap};
 
 /// The sum that is minimized.
-const LOSS: &str = "train/loss";
+pub(in crate::experiment) const LOSS: &str = "train/loss";
 const EVALUATION: u8 = 1;
 
 /// One curve.
@@ -151,23 +151,26 @@ fn of_log(log: &[LoggedValue]) -> Vec<Curve> {
     curves
 }
 
-/// The curve of a mean of measurements, which nobody logs.
-fn mean_curve(log: &[LoggedValue], criterion: &Criterion) -> Option<Curve> {
-    let names = criterion.names();
-    if names.len() < 2 {
-        return None;
-    }
+/// The values of a criterion, with their steps; where one of its measurements is missing there is none.
+pub(in crate::experiment) fn values_of(
+    log: &[LoggedValue],
+    criterion: &Criterion,
+) -> Vec<(u64, f64)> {
     let mut found: BTreeMap<u64, Vec<Measurement>> = BTreeMap::new();
-    for value in log.iter().filter(|value| names.contains(&value.name)) {
+    for value in log.iter().filter(|value| criterion.names().contains(&value.name)) {
         let measurement = Measurement::new(value.name.clone(), value.value);
         found.entry(value.step).or_default().push(measurement);
     }
-    let mut curve = Curve::new(criterion.to_string());
-    for (step, found) in found {
-        if let Some(value) = criterion.value(&found) {
-            curve.push(step, value);
-        }
+    found.iter().filter_map(|(step, found)| Some((*step, criterion.value(found)?))).collect()
+}
+
+/// The curve of a mean of measurements, which nobody logs.
+fn mean_curve(log: &[LoggedValue], criterion: &Criterion) -> Option<Curve> {
+    if criterion.names().len() < 2 {
+        return None;
     }
+    let mut curve = Curve::new(criterion.to_string());
+    values_of(log, criterion).into_iter().for_each(|(step, value)| curve.push(step, value));
     (!curve.points.is_empty() || curve.bad > 0).then_some(curve)
 }
 

@@ -88,7 +88,9 @@ impl Edit<'_> {
         if !uneven.is_empty() {
             let ids: Vec<String> = uneven.iter().map(ToString::to_string).collect();
             let ids = ids.join(", ");
-            print(&format!("parts of {ids} are not flat: no hole is looked for in these"));
+            print(&format!(
+                "parts of {ids} are not flat, or too far away: no hole is looked for in these"
+            ));
         }
         let area = |of: &dyn Fn(&Hole) -> f64| -> f64 { holes.iter().map(of).sum() };
         let [all, closed] = [area(&Hole::area), area(&Hole::closed_area)];
@@ -111,14 +113,11 @@ impl Edit<'_> {
     /// What is left, with what is open, and what was closed, in colors of their own.
     fn picture(&self, left: &GaussianScene, own: usize, holes: &[Hole]) -> Result<()> {
         let session = self.asking.session;
-        let is_open = |hole: &Hole| match self.args.fill {
-            true => hole.open.clone(),
-            false => [&hole.closed[..], &hole.open].concat(),
-        };
-        let marks: Vec<([f64; 3], f64)> = holes
-            .iter()
-            .flat_map(|hole| is_open(hole).into_iter().map(|cell| (cell, hole.cell)))
-            .collect();
+        let marks = holes.iter().flat_map(|hole| {
+            let closed: &[[f64; 3]] = if self.args.fill { &[] } else { &hole.closed };
+            closed.iter().chain(&hole.open).map(|cell| (*cell, hole.cell))
+        });
+        let marks: Vec<([f64; 3], f64)> = marks.collect();
         let rows: Vec<usize> = (0..left.len()).chain(marks.iter().map(|_| 0)).collect();
         let mut shown = left.select_rows(&rows)?;
         for (row, (middle, cell)) in (left.len()..).zip(&marks) {

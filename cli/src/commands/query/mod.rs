@@ -109,7 +109,10 @@ pub fn selected(
         vote_k,
     };
     let found = select(features, query, &settings, coord)?;
-    for (text, other) in near.iter().take_while(|_| found.is_empty()) {
+    if !found.is_empty() {
+        return Ok(found);
+    }
+    for (text, other) in near {
         let other = select(features, other, &settings, coord)?;
         if !other.is_empty() {
             let how = "as near as what the phrase is taken for, which is not there";

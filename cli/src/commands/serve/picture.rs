@@ -4,7 +4,7 @@ use super::tools::{Answer, Arguments, word};
 use crate::called::parse;
 use crate::commands::labelled::LabelArgs;
 use crate::commands::render;
-use crate::error::refuse;
+use crate::error::{WrongUse, refuse};
 use crate::frame::Frame;
 use crate::session::Session;
 use anyhow::{Context, Result, ensure};
@@ -87,9 +87,8 @@ impl Pictures {
             _ => refuse!("give eye and target, or object"),
         };
         let size = args.size.unwrap_or(SIZE);
-        let Some(view) = view(LookAt { eye, target, fov }, seen.frame, size)? else {
-            refuse!("target {target:?}: is where eye is; the camera looks nowhere");
-        };
+        let view = View::look_at(&LookAt { eye, target, fov }, seen.frame.up, size)
+            .map_err(|error| WrongUse(error.to_string()))?;
         let drawn = prepared.render(&view, &RenderRequest::rgb())?;
         let picture = rendered_picture(&drawn).context("a picture has three channels")?;
         let mut json = json!({ "eye": eye, "target": target, "fov": fov, "size": size });
@@ -101,11 +100,6 @@ impl Pictures {
         }
         Ok(Answer { json, png: Some(picture.encode_png()?) })
     }
-}
-
-fn view(look: LookAt, frame: Frame, size: [u32; 2]) -> Result<Option<View>> {
-    let camera = look.camera("view", frame.up, size);
-    Ok(camera.map(|camera| View::from_camera(&camera)).transpose()?)
 }
 
 /// Where to stand to see an object: of places around it within the scene the one from which least of it is hidden, else, and for
@@ -120,7 +114,7 @@ fn stand(
     let mut best = (0.0, None);
     for (eye, distance) in around(object, seen, fov) {
         let look = LookAt { eye, target: object.position, fov };
-        let Some(view) = view(look, seen.frame, GLANCE)? else { continue };
+        let Ok(view) = View::look_at(&look, seen.frame.up, GLANCE) else { continue };
         // An object twice as far covers a quarter of the pixels.
         let visible = pixels(prepared, &view, &object.rows)? * distance * distance;
         if visible > best.0 {

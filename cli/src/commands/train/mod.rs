@@ -16,7 +16,6 @@ use anyhow::{Context, Result, anyhow};
 use candle_core::Device;
 use json_console::JsonConsole;
 use scenesplat::datasets::Amount;
-use scenesplat::experiment::sweep::RunOutcome;
 use scenesplat::experiment::{
     ExperimentConfig, ExperimentError, MakeConsole, RunOptions, RunReport, train_together,
 };
@@ -25,7 +24,7 @@ use scenesplat::trainers::Collective;
 use scenesplat::trainers::callbacks::Console;
 use scenesplat::trainers::checkpoint::newest_checkpoint;
 use std::num::NonZeroUsize;
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 use std::rc::Rc;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -112,6 +111,11 @@ impl Args {
         self.changes.iter().cloned().chain(limits).collect()
     }
 
+    /// The flag that goes on with what is there.
+    fn resuming(&self) -> &'static str {
+        if self.sweep.is_empty() { "--resume" } else { "--resume-if-there" }
+    }
+
     /// What shows the run.
     fn console(&self) -> Option<MakeConsole> {
         console(&self.running)
@@ -174,9 +178,9 @@ pub fn run(args: &Args) -> Result<()> {
     if !args.sweep.is_empty() {
         return sweep::run(&run, &file, &out);
     }
-    let report = run.train(&config, out.clone())?;
+    let report = run.train(&config, out)?;
     if run.ranks.rank() == 0 {
-        tell(&report, &config, &out)?;
+        tell(&report, &config, args);
     }
     run.end(&report)
 }
@@ -214,9 +218,9 @@ impl Start<'_> {
         let done =
             train_together(config, &options, Rc::clone(ranks)).map_err(|error| match error {
                 ExperimentError::HoldsRun { path } => anyhow!(
-                    "{}: holds a run already; give --resume{} to go on with it, or another --out",
+                    "{}: holds a run already; give {} to go on with it, or another --out",
                     path.display(),
-                    if args.sweep.is_empty() { "" } else { "-if-there" }
+                    args.resuming()
                 ),
                 other => other.into(),
             });
@@ -232,15 +236,13 @@ impl Start<'_> {
 }
 
 /// Prints what came of a training, the answer first.
-fn tell(report: &RunReport, config: &ExperimentConfig, out: &Path) -> Result<RunOutcome> {
-    let selection = &config.trainer.checkpoint;
-    let outcome = RunOutcome::read(selection, out)?;
-    let at = report.progress;
+fn tell(report: &RunReport, config: &ExperimentConfig, args: &Args) {
+    let (at, outcome) = (report.progress, &report.outcome);
     let mut text = format!("{} of {} steps", at.step, at.total_steps);
     if let Some(loss) = outcome.loss {
         text += &format!(", loss {loss:.4}");
     }
-    if let (Some(name), Some((value, step))) = (&selection.best, outcome.best) {
+    if let (Some(name), Some((value, step))) = (&config.trainer.checkpoint.best, outcome.best) {
         text += &format!(", best {name} {value:.4} at step {step}");
     }
     print(&text);
@@ -253,9 +255,9 @@ fn tell(report: &RunReport, config: &ExperimentConfig, out: &Path) -> Result<Run
     print(&format!("weights: {}", report.model.display()));
     print(&format!("curves: {}, and curves.html beside it", report.curves.display()));
     if at.step < at.total_steps {
-        print(&format!("stopped at step {} of {}: --resume goes on", at.step, at.total_steps));
+        let (step, of, flag) = (at.step, at.total_steps, args.resuming());
+        print(&format!("stopped at step {step} of {of}: {flag} goes on"));
     }
-    Ok(outcome)
 }
 
 /// What shows a training.

@@ -3,6 +3,7 @@
 use super::everyday;
 use crate::phrases::distance;
 use scenesplat_rooms::ClassId;
+use std::sync::LazyLock;
 
 /// Shorter names are the ends of too many words.
 const SHORTEST_END: usize = 4;
@@ -370,9 +371,9 @@ pub(super) fn misspelt(words: &[String]) -> Option<(String, ClassId)> {
         let name: Vec<char> = name.chars().collect();
         name.len() >= SHORTEST_MISSPELT && distance(&text, &name) == 1
     };
-    let mut found = spellings().1.into_iter().filter(|(name, _)| is_near(name));
+    let mut found = spellings().1.iter().filter(|(name, _)| is_near(name));
     let (name, class) = found.next()?;
-    found.all(|(_, other)| other == class).then_some((name, class))
+    found.all(|(_, other)| other == class).then(|| (name.clone(), *class))
 }
 
 /// The class that a German compound ends with, by its longest end: a "Stehlampe" is a lamp.
@@ -390,18 +391,21 @@ pub(super) fn compound(words: &[String]) -> Option<(String, ClassId)> {
 }
 
 /// Articles and every spelling of a name with its class, for readers of phrases that do not run here.
-pub(super) fn spellings() -> (&'static [&'static str], Vec<(String, ClassId)>) {
-    let mut all: Vec<(String, ClassId)> = Vec::new();
-    for (class, names) in NAMES.iter().chain(everyday::NAMES) {
-        for name in *names {
-            for spelling in [(*name).to_owned(), plain(name), spelled_out(name)] {
-                if all.iter().all(|(other, _)| *other != spelling) {
-                    all.push((spelling, *class));
+pub(super) fn spellings() -> (&'static [&'static str], &'static [(String, ClassId)]) {
+    static ALL: LazyLock<Vec<(String, ClassId)>> = LazyLock::new(|| {
+        let mut all: Vec<(String, ClassId)> = Vec::new();
+        for (class, names) in NAMES.iter().chain(everyday::NAMES) {
+            for name in *names {
+                for spelling in [(*name).to_owned(), plain(name), spelled_out(name)] {
+                    if all.iter().all(|(other, _)| *other != spelling) {
+                        all.push((spelling, *class));
+                    }
                 }
             }
         }
-    }
-    (ARTICLES, all)
+        all
+    });
+    (ARTICLES, &ALL)
 }
 
 /// Without accents.

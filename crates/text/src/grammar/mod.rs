@@ -243,7 +243,7 @@ pub fn place_words() -> &'static [(&'static str, Option<Relation>)] {
 
 /// Articles, and names of classes in German, French and everyday English, in every spelling that is read, for readers of
 /// phrases that do not run here.
-pub fn foreign_names() -> (&'static [&'static str], Vec<(String, ClassId)>) {
+pub fn foreign_names() -> (&'static [&'static str], &'static [(String, ClassId)]) {
     foreign::spellings()
 }
 
