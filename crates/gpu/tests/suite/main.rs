@@ -1,0 +1,9 @@
+//! Kernels on a graphics processor (in CI a software one) against formulas in f64 and the CPU's kernels.
+
+#![allow(clippy::unwrap_used, clippy::panic, reason = "tests")]
+
+mod attention;
+mod norms;
+mod pooling;
+mod products;
+mod support;
