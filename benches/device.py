@@ -127,7 +127,7 @@ class Bench:
         self.results["cpu"] = {"cores": os.cpu_count()}
 
     def checks(self):
-        for name, filters in [("kernels", []), ("networks", ["device"])]:
+        for name, filters in [("kernels", []), ("networks", ["device"]), ("wgsl", [])]:
             program = self.args.built / name
             if not program.exists():
                 self.results[name] = {"not_run": "no such program"}
@@ -191,6 +191,17 @@ class Bench:
         self.features(f"language_cpu_{big[0]}", first, language, "cpu", 120)
         self.compare(f"language_{big[0]}", f"language_cpu_{big[0]}")
         self.compare(f"language_bf16_{big[0]}", f"language_cpu_{big[0]}")
+        self.any_maker(big, language, litept)
+
+    def any_maker(self, big, language, litept):
+        """The kernels in WGSL on the best graphics processor that Vulkan lists; software where there is no driver for it."""
+        for rows in big[:2]:
+            scene = self.work / f"room_{rows}.ply"
+            self.features(f"wgsl_litept_{rows}", scene, litept, "gpu", 60)
+            self.features(f"wgsl_language_{rows}", scene, language, "gpu", 60)
+            self.features(f"wgsl_language_f16_{rows}", scene, [*language, "--precision", "f16"], "gpu", 60)
+        for name in (f"wgsl_language_{big[0]}", f"wgsl_language_f16_{big[0]}"):
+            self.compare(name, f"language_cpu_{big[0]}")
 
     def compare(self, one, other):
         paths = [self.work / name / "features.npy" for name in (one, other)]

@@ -2,10 +2,10 @@
 # Everything that is worth knowing of a graphics processor, in one run of at most 8 minutes: kernels and goldens
 # checked, networks and training timed, PyTorch beside it, kernels profiled. One JSON file and one table.
 #
-#   benches/device.sh pack FOLDER [release-fast]   here: builds the programs with CUDA into FOLDER (no toolkit, no GPU needed)
+#   benches/device.sh pack FOLDER [release-fast]   here: builds the programs with CUDA and wgpu into FOLDER (no toolkit, no GPU needed)
 #   benches/device.sh run FOLDER OUT [DEVICE]      there: DEVICE is cuda:0, or cpu to try the script without a device
 #
-# `run` needs what docs/devices.md lists (driver, cuBLAS, cuRAND, NVRTC), python3 with numpy, and for the comparison
+# `run` needs what docs/devices.md lists (driver, cuBLAS, cuRAND, NVRTC; Vulkan for WGSL), python3 with numpy, and for the comparison
 # PyTorch. It needs no network, no Rust and nothing of the repository but this folder.
 set -euo pipefail
 here=$(cd "$(dirname "${BASH_SOURCE[0]}")" && pwd)
@@ -15,7 +15,7 @@ pack() {
   mkdir -p "$to"
   to=$(cd "$to" && pwd)
   cd "$here/.."
-  cargo build --locked --release -p scenesplat-cli --features cuda
+  cargo build --locked --release -p scenesplat-cli --features cuda,wgpu
   cp "${CARGO_TARGET_DIR:-target}/release/scenesplat" "$to/scenesplat"
   # The programs of the tests that compare a device with the CPU.
   export CARGO_PROFILE_DEV_DEBUG=0
@@ -25,6 +25,7 @@ pack() {
   }
   cp "$(test_program -p scenesplat-device --test cuda)" "$to/kernels"
   cp "$(test_program -p scenesplat-models --features cuda --test "${MODELS_TEST:-suite}")" "$to/networks"
+  cp "$(test_program -p scenesplat-gpu --test suite)" "$to/wgsl"
   strip "$to"/*
   ls -l "$to"
 }

@@ -439,8 +439,9 @@ impl<'a> SceneEncoder<'a> {
         plan: &InferencePlan<'_>,
         width: usize,
     ) -> Result<Budget, EncodeError> {
+        let most = self.network.model().most_voxels().unwrap_or(usize::MAX);
         let Some(limit) = self.max_memory else {
-            return Ok(Budget { max_voxels: usize::MAX, spill: false });
+            return Ok(Budget { max_voxels: most, spill: false });
         };
         let Some(cost) = self.network.model().cost() else {
             return Err(EncodeError::Setting(
@@ -473,7 +474,7 @@ impl<'a> SceneEncoder<'a> {
                 voxels: plan.num_voxels(),
             });
         }
-        Ok(Budget { max_voxels, spill })
+        Ok(Budget { max_voxels: max_voxels.min(most), spill })
     }
 }
 

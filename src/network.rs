@@ -8,13 +8,15 @@ pub use choice::{NetworkChoice, config_beside, network_of};
 pub use config::{NetworkConfig, documented_input};
 pub use error::NetworkError;
 
-use candle_core::Device;
 use scenesplat_datasets::{InputFeatures, Orientation};
+#[cfg(feature = "wgpu")]
 use scenesplat_kernels::Precision;
 use scenesplat_kernels::grid_sample::is_grid_size;
 use scenesplat_models::convert::{Branch, ConvLayout};
+#[cfg(feature = "wgpu")]
+use scenesplat_models::gpu::Stored;
 use scenesplat_models::weights::{Shapes, SourceOptions, WeightFile, WeightSource, resolve};
-use scenesplat_models::{Backbone, LoadPolicy, LoadReport, ParamStore};
+use scenesplat_models::{Backbone, LoadPolicy, LoadReport, OpenDevice, ParamStore};
 use std::path::PathBuf;
 use std::str::FromStr;
 
@@ -116,7 +118,7 @@ impl Network {
         weights: &Weights,
         options: WeightOptions,
     ) -> Result<Self, NetworkError> {
-        Self::load_on(config, weights, options, &Device::Cpu)
+        Self::load_on(config, weights, options, &OpenDevice::default())
     }
 
     /// As [`load`](Self::load), with the weights on a device, which computes then.
@@ -127,12 +129,19 @@ impl Network {
         config: NetworkConfig,
         weights: &Weights,
         options: WeightOptions,
-        device: &Device,
+        device: &OpenDevice,
     ) -> Result<Self, NetworkError> {
         config.check()?;
         let precision = config.model.backbone.get().compute().precision;
-        if !device.is_cpu() && !matches!(precision, Precision::F32 | Precision::Bf16) {
-            return Err(NetworkError::Precision { precision });
+        let possible = match device {
+            #[cfg(feature = "wgpu")]
+            OpenDevice { gpu: Some(_), .. } => "f32 and f16",
+            device if device.is_cpu() => "f32, split, bf16 and int8",
+            _ => "f32 and bf16",
+        };
+        if !possible.split([' ', ',']).any(|name| name == precision.name()) {
+            let device = device.name.clone();
+            return Err(NetworkError::Precision { precision, device, possible });
         }
         let policy = options.policy;
         let (source, files) = match weights {
@@ -149,8 +158,18 @@ impl Network {
                 (options.source(folder.files, fits)?, files)
             }
         };
-        let store = ParamStore::frozen(source).on(device);
-        let model = config.model.build(store.builder())?;
+        let store = ParamStore::frozen(source).on(&device.device);
+        let model = match device {
+            #[cfg(feature = "wgpu")]
+            OpenDevice { gpu: Some(gpu), .. } => {
+                let stored = match precision {
+                    Precision::F16 => Stored::F16,
+                    _ => Stored::F32,
+                };
+                config.model.build_on_gpu(store.builder(), gpu, stored)?
+            }
+            _ => config.model.build(store.builder())?,
+        };
         let report = store.report();
         match weights {
             Weights::File(path) => report.check(policy, &path.display().to_string())?,

@@ -11,7 +11,7 @@ pub const COMMIT: Option<&str> = option_env!("SCENESPLAT_COMMIT");
 fn features() -> String {
     let all = [
         (cfg!(feature = "cuda"), "cuda"),
-        (cfg!(feature = "metal"), "metal"),
+        (cfg!(feature = "wgpu"), "wgpu"),
         (cfg!(feature = "mcp"), "mcp"),
         (cfg!(feature = "mpi"), "mpi"),
         (cfg!(feature = "nccl"), "nccl"),

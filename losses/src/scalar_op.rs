@@ -5,9 +5,7 @@
 
 use crate::values::Real;
 use candle_core::backend::{BackendDevice, BackendStorage};
-use candle_core::{
-    CpuStorage, CudaStorage, CustomOp1, DType, Layout, MetalStorage, Result, Shape, Tensor,
-};
+use candle_core::{CpuStorage, CudaStorage, CustomOp1, DType, Layout, Result, Shape, Tensor};
 use scenesplat_kernels::fallbacks::{Pass, count};
 
 /// The gradient of a loss, from what its forward pass kept.
@@ -51,9 +49,6 @@ impl<B: Backward> CustomOp1 for Known<B> {
         Ok((self.storage(pred.dtype()), Shape::from(())))
     }
     fn cuda_fwd(&self, pred: &CudaStorage, _: &Layout) -> Result<(CudaStorage, Shape)> {
-        self.elsewhere(pred)
-    }
-    fn metal_fwd(&self, pred: &MetalStorage, _: &Layout) -> Result<(MetalStorage, Shape)> {
         self.elsewhere(pred)
     }
     fn bwd(&self, pred: &Tensor, _: &Tensor, grad: &Tensor) -> Result<Option<Tensor>> {

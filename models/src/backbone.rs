@@ -163,6 +163,11 @@ pub trait Backbone: Send + Sync {
     fn cost(&self) -> Option<BackboneCost> {
         None
     }
+    /// Most voxels of a forward pass, where something limits them: the arrays of a graphics processor. Larger scenes are
+    /// computed in tiles.
+    fn most_voxels(&self) -> Option<usize> {
+        None
+    }
     /// How it computes; a head behind it does the same.
     fn compute(&self) -> Compute {
         Compute::default()
@@ -203,6 +208,9 @@ impl<B: Backbone + ?Sized> Backbone for Box<B> {
     }
     fn cost(&self) -> Option<BackboneCost> {
         (**self).cost()
+    }
+    fn most_voxels(&self) -> Option<usize> {
+        (**self).most_voxels()
     }
     fn compute(&self) -> Compute {
         (**self).compute()

@@ -25,7 +25,7 @@ pub enum Head {
 
 impl Head {
     /// Name of its linear layer, as parameters and observers know it, and its width.
-    fn linear(self) -> Option<(&'static str, usize)> {
+    pub(crate) fn linear(self) -> Option<(&'static str, usize)> {
         match self {
             Self::Features { projection } => projection.map(|n| ("projection", n)),
             Self::Classes(classes) => Some(("seg_head", classes)),
@@ -121,6 +121,9 @@ impl Backbone for WithHead {
     }
     fn cost(&self) -> Option<BackboneCost> {
         Some(self.head.cost(self.backbone.cost()?, self.backbone.out_channels()))
+    }
+    fn most_voxels(&self) -> Option<usize> {
+        self.backbone.most_voxels()
     }
     fn compute(&self) -> Compute {
         self.backbone.compute()

@@ -18,6 +18,8 @@ mod backbone;
 mod compute;
 pub mod convert;
 mod device;
+#[cfg(feature = "wgpu")]
+pub mod gpu;
 mod head;
 pub mod layers;
 mod levels;
@@ -47,8 +49,8 @@ pub use backbone::{
 };
 pub use compute::Compute;
 #[cfg(feature = "emulation")]
-pub use device::emulated::{EmulatedDevice, is_emulated, on_emulated_device};
-pub use device::{DeviceChoice, DeviceError, OpenDevice, missing_kernels};
+pub use device::emulated::{is_emulated, on_emulated_device};
+pub use device::{DeviceChoice, DeviceError, GpuName, OpenDevice, missing_kernels};
 pub use head::Head;
 pub use levels::{Level, LevelOptions, Levels, scene_means};
 pub use litept::{LitePt, LitePtConfig, LitePtSize};

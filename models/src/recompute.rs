@@ -11,8 +11,8 @@ use crate::ops::forward_passes;
 use candle_core::backend::BackendStorage;
 use candle_core::backprop::GradStore;
 use candle_core::{
-    CpuStorage, CudaStorage, CustomOp1, CustomOp2, Layout, MetalStorage, Result, Shape, Storage,
-    Tensor, Var, bail,
+    CpuStorage, CudaStorage, CustomOp1, CustomOp2, Layout, Result, Shape, Storage, Tensor, Var,
+    bail,
 };
 use std::collections::BTreeMap;
 use std::sync::{Arc, Mutex, PoisonError};
@@ -109,15 +109,6 @@ impl Recomputed {
         let (storage, layout) = output.storage_and_layout();
         let Storage::Cuda(storage) = &*storage else {
             bail!("recompute: the output is not on CUDA")
-        };
-        Ok((storage.try_clone(layout)?, output.shape().clone()))
-    }
-
-    fn on_metal(&self, _: &[(&MetalStorage, &Layout)]) -> Result<(MetalStorage, Shape)> {
-        let output = self.take_output()?.force_contiguous()?;
-        let (storage, layout) = output.storage_and_layout();
-        let Storage::Metal(storage) = &*storage else {
-            bail!("recompute: the output is not on Metal")
         };
         Ok((storage.try_clone(layout)?, output.shape().clone()))
     }

@@ -20,6 +20,12 @@ impl SortedRows {
         &self.order
     }
 
+    /// The network's row of each of the caller's.
+    #[cfg(feature = "wgpu")]
+    pub fn inverse(&self) -> &[u32] {
+        &self.inverse
+    }
+
     /// The caller's rows in the network's order. `[N, C]`
     pub fn enter(&self, x: &Tensor) -> Result<Tensor> {
         ops::permute_rows(x, self.order.clone(), self.inverse.clone())
@@ -96,26 +102,36 @@ impl OrderShuffle {
         })
     }
 
-    /// The next scale's.
+    /// Permutes the next scale's orders.
+    ///
+    /// # Errors
+    /// As [`Self::next`].
+    pub fn apply(&mut self, cloud: &mut SerializedCloud, cx: &mut Forward<'_>) -> Result<()> {
+        if let Some(permutation) = self.next(cloud.num_orders(), cx)? {
+            cloud.permute_orders(&permutation);
+        }
+        Ok(())
+    }
+
+    /// The permutation of the next scale, which has so many orders; none if they stay as listed.
     ///
     /// # Errors
     /// If a given permutation is missing or is none of the scale's orders.
-    pub fn apply(&mut self, cloud: &mut SerializedCloud, cx: &mut Forward<'_>) -> Result<()> {
+    pub fn next(&mut self, orders: usize, cx: &mut Forward<'_>) -> Result<Option<Vec<usize>>> {
         let permutation = match (&cx.orders, &mut self.0) {
-            (Orders::Shuffled, _) => random_permutation(cloud.num_orders(), cx.rng),
+            (Orders::Shuffled, _) => random_permutation(orders, cx.rng),
             (_, Some(given)) => match given.next() {
                 Some(p) => p,
                 None => bail!("orders: fewer permutations given than the network has scales"),
             },
-            _ => return Ok(()),
+            _ => return Ok(None),
         };
         let mut seen = permutation.clone();
         seen.sort_unstable();
-        if seen != (0..cloud.num_orders()).collect::<Vec<_>>() {
-            bail!("orders: {permutation:?} is not a permutation of 0..{}", cloud.num_orders());
+        if seen != (0..orders).collect::<Vec<_>>() {
+            bail!("orders: {permutation:?} is not a permutation of 0..{orders}");
         }
-        cloud.permute_orders(&permutation);
-        Ok(())
+        Ok(Some(permutation))
     }
 }
 

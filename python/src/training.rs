@@ -111,7 +111,7 @@ pub fn train(
     }
     let device: DeviceChoice =
         device.parse().map_err(|problem| crate::errors::argument("device", problem))?;
-    let device = device.open().map_err(error)?.device;
+    let device = device.open_for_training().map_err(error)?.device;
     let raised = Raised::default();
     let told: Vec<Told> = callbacks
         .into_iter()

@@ -25,13 +25,15 @@ pub enum NetworkError {
     /// A size, meters, that voxels cannot have.
     #[error("grid_size: {0} is not above 0 and at most {MAX_GRID_SIZE} meters")]
     GridSize(f64),
-    /// A precision that only the processor computes in.
-    #[error(
-        "precision {precision}: only the cpu computes in it; on another device f32 and bf16 are possible"
-    )]
+    /// A precision that the device does not compute in.
+    #[error("precision {precision}: {device} computes in {possible}")]
     Precision {
         /// Which.
         precision: scenesplat_kernels::Precision,
+        /// What the device calls itself.
+        device: String,
+        /// In what it computes.
+        possible: &'static str,
     },
     /// A network that reads nothing.
     #[error("input.channels: at least one channel is needed")]

@@ -24,7 +24,7 @@ const PATCH_SIZE: usize = 1024;
 pub(super) fn weight_size(precision: Precision) -> usize {
     match precision {
         Precision::F32 | Precision::F32Split => 4,
-        Precision::Bf16 => 2,
+        Precision::Bf16 | Precision::F16 => 2,
         Precision::Int8 => 1,
     }
 }

@@ -39,8 +39,8 @@ impl Session<'_> {
         let config = network_of(weights, inference.network.config.as_ref(), &options)?;
         let config = inference.effective.apply_to_network(config.with_compute(compute));
         let config = config.map_err(|error| WrongUse(format!("--setting: {error}")))?;
-        let device = self.device(inference.device)?;
-        let network = Network::load_on(config, weights, options, &device.device)?;
+        let device = self.device(&inference.device)?;
+        let network = Network::load_on(config, weights, options, &device)?;
         self.note_weights(&network, weights);
         if partial && !network.report().is_complete() {
             self.doubt(format!("partial weights: {}", network.report()));
@@ -75,9 +75,9 @@ impl Session<'_> {
     }
 
     /// Opens the device that --device names, and reports which it is.
-    fn device(&self, choice: DeviceChoice) -> Result<OpenDevice> {
+    fn device(&self, choice: &DeviceChoice) -> Result<OpenDevice> {
         let opened = choice.open().context("--device")?;
-        if choice != DeviceChoice::Cpu {
+        if *choice != DeviceChoice::Cpu {
             let name = match choice {
                 DeviceChoice::Auto => opened.name.as_str().to_owned(),
                 choice => format!("{choice} ({})", opened.name),

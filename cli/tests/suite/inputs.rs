@@ -134,7 +134,7 @@ fn wrong_values_and_flags_without_effect_are_wrong_use() {
         (format!("inspect {scene} --threads 0"), "--threads 0: 1 to "),
         (format!("chunk {scene} --out {to} --threads 2000"), "--threads 2000"),
         (format!("convert {scene} {to} --threads 2000"), "--threads 2000"),
-        (format!("segment {scene} --device gpu"), "cuda:0"),
+        (format!("segment {scene} --device metal:0"), "gpu:NAME"),
         // Flags that a command would not use are not there.
         (format!("render {scene} --weights nope.pth"), unknown),
         (format!("render {scene} --config tiny"), unknown),

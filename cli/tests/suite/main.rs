@@ -17,6 +17,7 @@ mod convert;
 mod doctor;
 mod effects;
 mod first_screen;
+mod gpu;
 mod hostile;
 mod inputs;
 mod inspect;

@@ -1,6 +1,6 @@
 //! Kernels for graphics processors.
 //!
-//! The kernels are texts in CUDA (and some in Metal), compiled when they are first used. They compute what
+//! The kernels are texts in CUDA, compiled when they are first used. They compute what
 //! `scenesplat-kernels` computes on a CPU, which is their specification. [`modules()`] lists them; each
 //! function of [`ops`] is an operation as a sequence of launches, over any [`Launcher`]: a graphics
 //! processor (feature `cuda`) or the emulated grid of tests (feature `emulation`).

@@ -22,13 +22,15 @@ fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
 
 /// An open graphics processor. Clones share it.
 #[derive(Clone)]
-pub struct Gpu(Arc<Inner>);
+pub struct Gpu {
+    inner: Arc<Inner>,
+    largest_array: u64,
+}
 
 struct Inner {
     device: wgpu::Device,
     queue: wgpu::Queue,
     info: AdapterInfo,
-    largest_array: u64,
     kernels: Mutex<HashMap<String, Arc<Kernel>>>,
     /// The first thing that went wrong since it was last asked for.
     problem: Arc<Mutex<Option<GpuError>>>,
@@ -46,7 +48,7 @@ pub struct Memory {
 
 impl fmt::Debug for Gpu {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.debug_struct("Gpu").field("info", &self.0.info).finish_non_exhaustive()
+        f.debug_struct("Gpu").field("info", &self.inner.info).finish_non_exhaustive()
     }
 }
 
@@ -74,7 +76,7 @@ impl Gpu {
         ];
         for (what, has, needs) in needs {
             if has < needs {
-                let adapter = info.name.clone();
+                let adapter = info.name;
                 return Err(GpuError::TooSmall {
                     adapter,
                     what,
@@ -111,44 +113,52 @@ impl Gpu {
         });
         let largest_array = largest_array(&limits);
         let (kernels, memory) = (Mutex::default(), Arc::default());
-        Ok(Self(Arc::new(Inner { device, queue, info, largest_array, kernels, problem, memory })))
+        let inner = Inner { device, queue, info, kernels, problem, memory };
+        Ok(Self { inner: Arc::new(inner), largest_array })
+    }
+
+    /// The same device with smaller arrays, as a smaller device has them.
+    #[must_use]
+    pub fn limited_to(&self, largest_array: u64) -> Self {
+        let largest_array = self.largest_array.min(largest_array);
+        Self { inner: Arc::clone(&self.inner), largest_array }
     }
 
     /// What it is.
     pub fn info(&self) -> &AdapterInfo {
-        &self.0.info
+        &self.inner.info
     }
 
     /// Whether it computes with 16-bit floating-point numbers.
     pub fn has_f16(&self) -> bool {
-        self.0.info.f16
+        self.inner.info.f16
     }
 
     /// The largest array, bytes.
     pub fn largest_array(&self) -> u64 {
-        self.0.largest_array
+        self.largest_array
     }
 
     /// Bytes of all arrays, now and at most.
     pub fn memory(&self) -> Memory {
-        *lock(&self.0.memory)
+        *lock(&self.inner.memory)
     }
 
     /// Counts the most bytes at once anew.
     pub fn reset_peak(&self) {
-        let mut memory = lock(&self.0.memory);
+        let mut memory = lock(&self.inner.memory);
         memory.peak = memory.live;
     }
 
     /// Takes the device away as a driver does that resets it. For tests of what follows.
     pub fn lose(&self) {
-        self.0.device.destroy();
-        *lock(&self.0.problem) = Some(GpuError::Lost("destroyed".to_owned()));
+        self.inner.device.destroy();
+        *lock(&self.inner.problem) = Some(GpuError::Lost("destroyed".to_owned()));
     }
 
     /// The first thing that went wrong since the last call; a lost device stays lost.
     fn check(&self) -> Result<()> {
-        let mut problem = lock(&self.0.problem);
+        let mut problem = lock(&self.inner.problem);
         match &*problem {
             None => Ok(()),
             Some(lost @ GpuError::Lost(_)) => Err(lost.clone()),
@@ -165,36 +175,40 @@ impl Gpu {
         constants: &[(&str, u32)],
     ) -> Arc<Kernel> {
         let key = format!("{name} {flags:?} {constants:?}");
-        if let Some(kernel) = lock(&self.0.kernels).get(&key) {
+        if let Some(kernel) = lock(&self.inner.kernels).get(&key) {
             return Arc::clone(kernel);
         }
         let text = expand(text, flags, constants);
-        let module = self.0.device.create_shader_module(wgpu::ShaderModuleDescriptor {
+        let wgsl = text.clone();
+        let module = self.inner.device.create_shader_module(wgpu::ShaderModuleDescriptor {
             label: Some(name),
             source: wgpu::ShaderSource::Wgsl(text.into()),
         });
-        let pipeline = self.0.device.create_compute_pipeline(&wgpu::ComputePipelineDescriptor {
-            label: Some(&key),
-            layout: None,
-            module: &module,
-            entry_point: Some("main"),
-            compilation_options: wgpu::PipelineCompilationOptions {
-                // Every kernel writes its workgroup memory before it reads it.
-                zero_initialize_workgroup_memory: false,
-                ..Default::default()
-            },
-            cache: None,
-        });
+        let pipeline =
+            self.inner.device.create_compute_pipeline(&wgpu::ComputePipelineDescriptor {
+                label: Some(&key),
+                layout: None,
+                module: &module,
+                entry_point: Some("main"),
+                compilation_options: wgpu::PipelineCompilationOptions {
+                    // Every kernel writes its workgroup memory before it reads it.
+                    zero_initialize_workgroup_memory: false,
+                    ..Default::default()
+                },
+                cache: None,
+            });
         let layout = pipeline.get_bind_group_layout(0);
-        let kernel = Arc::new(Kernel { name: key.clone(), pipeline, layout });
-        lock(&self.0.kernels).entry(key).or_insert(kernel).clone()
+        let kernel = Arc::new(Kernel { name: key.clone(), wgsl, pipeline, layout });
+        lock(&self.inner.kernels).entry(key).or_insert(kernel).clone()
     }
 
-    /// Names of the kernels that were compiled, each with its flags and constants, sorted.
-    pub fn compiled_kernels(&self) -> Vec<String> {
-        let mut names: Vec<String> = lock(&self.0.kernels).keys().cloned().collect();
-        names.sort_unstable();
-        names
+    /// The kernels that were compiled, each with its flags and constants, and its text in WGSL; sorted.
+    pub fn compiled_kernels(&self) -> Vec<(String, String)> {
+        let kernels = lock(&self.inner.kernels);
+        let mut all: Vec<(String, String)> =
+            kernels.iter().map(|(name, kernel)| (name.clone(), kernel.wgsl.clone())).collect();
+        all.sort_unstable();
+        all
     }
 
     /// An array with these values that lives until it is dropped: weights.
@@ -229,26 +243,26 @@ impl Gpu {
 
     fn allocate(&self, what: &str, bytes: u64, mapped: bool) -> Result<Storage> {
         self.check()?;
-        if bytes > self.0.largest_array {
-            let (what, adapter) = (what.to_owned(), self.0.info.name.clone());
-            return Err(GpuError::TooLarge { what, bytes, limit: self.0.largest_array, adapter });
+        if bytes > self.largest_array {
+            let (what, adapter) = (what.to_owned(), self.inner.info.name.clone());
+            return Err(GpuError::TooLarge { what, bytes, limit: self.largest_array, adapter });
         }
         let usage = wgpu::BufferUsages::STORAGE
             | wgpu::BufferUsages::COPY_SRC
             | wgpu::BufferUsages::COPY_DST;
         // Kernels cannot bind an array of no bytes.
         let bytes = bytes.max(16).next_multiple_of(16);
-        let buffer = self.0.device.create_buffer(&wgpu::BufferDescriptor {
+        let buffer = self.inner.device.create_buffer(&wgpu::BufferDescriptor {
             label: None,
             size: bytes,
             usage,
             mapped_at_creation: mapped,
         });
-        let mut memory = lock(&self.0.memory);
+        let mut memory = lock(&self.inner.memory);
         memory.live += bytes;
         memory.peak = memory.peak.max(memory.live);
         drop(memory);
-        let (memory, pool) = (Arc::clone(&self.0.memory), None);
+        let (memory, pool) = (Arc::clone(&self.inner.memory), None);
         Ok(Storage { buffer: Some(buffer), bytes, memory, pool })
     }
 
@@ -268,6 +282,7 @@ impl Gpu {
 /// A compiled kernel.
 pub(crate) struct Kernel {
     name: String,
+    wgsl: String,
     pipeline: wgpu::ComputePipeline,
     layout: wgpu::BindGroupLayout,
 }
@@ -384,7 +399,7 @@ impl Commands {
         let bytes = (len as u64).saturating_mul(size_of::<T>() as u64);
         // A few sizes only, so that arrays of neighboring sizes share memory.
         let step = (bytes.next_power_of_two() / 8).max(256);
-        let limit = self.gpu.0.largest_array;
+        let limit = self.gpu.largest_array;
         let rounded = bytes.div_ceil(step).saturating_mul(step).max(256);
         let bytes = if rounded > limit { bytes } else { rounded };
         let spare = lock(&self.pool).get_mut(&bytes).and_then(Vec::pop);
@@ -397,7 +412,7 @@ impl Commands {
     }
 
     fn encoder(&mut self) -> &mut wgpu::CommandEncoder {
-        let device = &self.gpu.0.device;
+        let device = &self.gpu.inner.device;
         self.encoder.get_or_insert_with(|| device.create_command_encoder(&Default::default()))
     }
 
@@ -412,7 +427,7 @@ impl Commands {
         if workgroups == 0 {
             return Ok(());
         }
-        let limits = self.gpu.0.device.limits();
+        let limits = self.gpu.inner.device.limits();
         let most = u64::from(limits.max_compute_workgroups_per_dimension);
         // Kernels count workgroups over both dimensions and leave those out that are too many.
         let (x, y) = if workgroups <= most {
@@ -426,7 +441,7 @@ impl Commands {
         }
         let bytes = bytemuck::bytes_of(params);
         let size = (bytes.len() as u64).next_multiple_of(16);
-        let uniform = self.gpu.0.device.create_buffer(&wgpu::BufferDescriptor {
+        let uniform = self.gpu.inner.device.create_buffer(&wgpu::BufferDescriptor {
             label: None,
             size,
             usage: wgpu::BufferUsages::UNIFORM,
@@ -444,7 +459,7 @@ impl Commands {
             let resource = buffer.as_entire_binding();
             entries.push(wgpu::BindGroupEntry { binding: *binding, resource });
         }
-        let group = self.gpu.0.device.create_bind_group(&wgpu::BindGroupDescriptor {
+        let group = self.gpu.inner.device.create_bind_group(&wgpu::BindGroupDescriptor {
             label: Some(&kernel.name),
             layout: &kernel.layout,
             entries: &entries,
@@ -481,7 +496,7 @@ impl Commands {
             return Ok(Vec::new());
         }
         self.pass = None;
-        let staging = self.gpu.0.device.create_buffer(&wgpu::BufferDescriptor {
+        let staging = self.gpu.inner.device.create_buffer(&wgpu::BufferDescriptor {
             label: None,
             size: bytes.next_multiple_of(4),
             usage: wgpu::BufferUsages::MAP_READ | wgpu::BufferUsages::COPY_DST,
@@ -503,10 +518,11 @@ impl Commands {
             // Nobody listens if the wait below failed.
             _ = sender.send(result);
         });
-        let waited = self.gpu.0.device.poll(wgpu::PollType::wait_indefinitely());
+        let waited = self.gpu.inner.device.poll(wgpu::PollType::wait_indefinitely());
         self.gpu.check()?;
         waited.map_err(|error| GpuError::Lost(error.to_string()))?;
-        match receiver.try_recv() {
+        // Another thread that waited for the device may be the one that calls back, a moment later.
+        match receiver.recv() {
             Ok(Ok(())) => {}
             Ok(Err(error)) => return Err(GpuError::Lost(error.to_string())),
             Err(_) => return Err(GpuError::Lost("no answer".to_owned())),
@@ -521,7 +537,7 @@ impl Commands {
     fn submit(&mut self) {
         self.pass = None;
         if let Some(encoder) = self.encoder.take() {
-            self.gpu.0.queue.submit([encoder.finish()]);
+            self.gpu.inner.queue.submit([encoder.finish()]);
             self.submissions += 1;
         }
     }

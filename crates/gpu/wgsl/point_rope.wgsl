@@ -7,6 +7,7 @@
 struct Params {
   slots: u32,
   heads: u32,
+  first: u32,  // entry of the list that belongs to slot 0
 }
 
 @group(0) @binding(0) var<uniform> p: Params;
@@ -28,7 +29,7 @@ fn main(
   if (slot >= p.slots) {
     return;
   }
-  let turn = pairs[list[slot] * (DIM / 2u) + pair];
+  let turn = pairs[list[p.first + slot] * (DIM / 2u) + pair];
   let u_at = slot * 3u * p.heads * DIM + head * DIM + pair / THIRD * 2u * THIRD + pair % THIRD;
   let u = f32(qkv[u_at]);
   let v = f32(qkv[u_at + THIRD]);

@@ -12,12 +12,13 @@ const NONE: u32 = 0xffffffffu;
 
 struct Params {
   rows: u32,     // result rows made here
-  first: u32,    // first source row of a plain product
+  first: u32,    // first source row of a plain product, or first entry of the lists
   at: u32,       // where the first result row goes
   inputs: u32,
   outputs: u32,
   columns: u32,  // of the packed weight, in fours
   taps: u32,
+  base: u32,     // number in the list of source rows that means row 0
 }
 
 @group(0) @binding(0) var<uniform> p: Params;
@@ -81,7 +82,7 @@ fn main(
         from_row = sources[tap * p.rows + row];
 //#endif
 //#if GATHER
-        from_row = sources[row];
+        from_row = sources[p.first + row] - p.base;
 //#endif
 //#if PLAIN
         from_row = p.first + row;
@@ -135,7 +136,7 @@ fn main(
       break;
     }
 //#if SCATTER
-    let to = result_rows[row];
+    let to = result_rows[p.first + row];
 //#else
     let to = p.at + row;
 //#endif

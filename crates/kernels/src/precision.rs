@@ -28,15 +28,18 @@ pub enum Precision {
     /// Uses AMX, AVX512-VNNI or AVX-VNNI; elsewhere the same integers are multiplied without speed. The
     /// products have the same bits on every CPU. A row with a NaN or ±∞ gives NaN in all columns.
     Int8,
+    /// Rows and weights stored in 16 bits (11 bits of mantissa, largest value 65,504), products of f32. For inference on
+    /// graphics processors alone: networks on the CPU refuse it, and its kernels compute it as [`F32`](Self::F32).
+    F16,
 }
 
 impl Precision {
-    /// All of them, most exact first.
+    /// All of the CPU, most exact first.
     pub const ALL: [Self; 4] = [Self::F32, Self::F32Split, Self::Bf16, Self::Int8];
 
-    /// Whether networks can be trained in it; [`Precision::Int8`] has no gradient.
+    /// Whether networks can be trained in it; [`Precision::Int8`] and [`Precision::F16`] have no gradient.
     pub fn has_gradient(self) -> bool {
-        self != Self::Int8
+        !matches!(self, Self::Int8 | Self::F16)
     }
 
     /// That of gradients, where this one is asked for.
@@ -51,6 +54,7 @@ impl Precision {
             Self::F32Split => "split",
             Self::Bf16 => "bf16",
             Self::Int8 => "int8",
+            Self::F16 => "f16",
         }
     }
 }
@@ -64,8 +68,10 @@ impl fmt::Display for Precision {
 impl FromStr for Precision {
     type Err = String;
     fn from_str(name: &str) -> Result<Self, String> {
-        let known = Self::ALL.into_iter().find(|p| p.name() == name);
-        known.ok_or_else(|| format!("unknown precision {name:?}: choose f32, split, bf16 or int8"))
+        let known = Self::ALL.into_iter().chain([Self::F16]).find(|p| p.name() == name);
+        known.ok_or_else(|| {
+            format!("unknown precision {name:?}: choose f32, split, bf16, int8 or f16")
+        })
     }
 }
 
@@ -75,9 +81,9 @@ mod tests {
 
     #[test]
     fn names_are_read_back() {
-        for p in Precision::ALL {
+        for p in Precision::ALL.into_iter().chain([Precision::F16]) {
             assert_eq!(p.to_string().parse(), Ok(p));
         }
-        assert!("f16".parse::<Precision>().unwrap_err().contains("choose"));
+        assert!("f64".parse::<Precision>().unwrap_err().contains("choose"));
     }
 }

@@ -15,7 +15,7 @@ const TOOLKIT: &str = "install it with CUDA 12 or newer (it is in the Python pac
                        LD_LIBRARY_PATH";
 
 /// Looks for the libraries that cudarc loads: it panics where one is missing.
-fn libraries(device: DeviceChoice) -> Result<(), DeviceError> {
+fn libraries(device: &DeviceChoice) -> Result<(), DeviceError> {
     // SAFETY: opening a library runs its initialisers; those of these three have no demands.
     let found = unsafe {
         [
@@ -29,7 +29,9 @@ fn libraries(device: DeviceChoice) -> Result<(), DeviceError> {
         ]
     };
     match found.into_iter().find(|(_, _, present)| !present) {
-        Some((library, help, _)) => Err(DeviceError::NoLibrary { device, library, help }),
+        Some((library, help, _)) => {
+            Err(DeviceError::NoLibrary { device: device.clone(), library, help })
+        }
         None => Ok(()),
     }
 }
@@ -43,9 +45,9 @@ fn said(error: driver::DriverError) -> String {
     }
 }
 
-pub(super) fn open(device: DeviceChoice, number: usize) -> Result<OpenDevice, DeviceError> {
+pub(super) fn open(device: &DeviceChoice, number: usize) -> Result<OpenDevice, DeviceError> {
     libraries(device)?;
-    let unusable = |error| DeviceError::Unusable { device, problem: said(error) };
+    let unusable = |error| DeviceError::Unusable { device: device.clone(), problem: said(error) };
     let count = driver::CudaContext::device_count().map_err(unusable)?;
     if usize::try_from(count).map_or(true, |count| number >= count) {
         let problem = match count {
@@ -53,7 +55,7 @@ pub(super) fn open(device: DeviceChoice, number: usize) -> Result<OpenDevice, De
             1 => "the driver knows one device, cuda:0".to_owned(),
             n => format!("the driver knows {n} devices, cuda:0 to cuda:{}", n - 1),
         };
-        return Err(DeviceError::Unusable { device, problem });
+        return Err(DeviceError::Unusable { device: device.clone(), problem });
     }
     let context = driver::CudaContext::new(number).map_err(unusable)?;
     let capability = context.compute_capability().map_err(unusable)?;
@@ -61,13 +63,14 @@ pub(super) fn open(device: DeviceChoice, number: usize) -> Result<OpenDevice, De
     provide(device, capability)?;
     // A stream of its own, not one for each thread: tensors are made in one and used in another.
     let opened = Device::new_cuda_with_stream(number);
-    let opened = opened.map_err(|e| DeviceError::Unusable { device, problem: e.to_string() })?;
-    Ok(OpenDevice { device: opened, name, fell_back: None })
+    let opened = opened
+        .map_err(|e| DeviceError::Unusable { device: device.clone(), problem: e.to_string() })?;
+    Ok(OpenDevice::of_tensors(opened, name))
 }
 
 /// Makes candle's kernels ready for this capability, once in a process. Those of our own operations follow when they are
 /// first used.
-fn provide(device: DeviceChoice, (major, minor): (i32, i32)) -> Result<(), DeviceError> {
+fn provide(device: &DeviceChoice, (major, minor): (i32, i32)) -> Result<(), DeviceError> {
     // Two threads that open devices would compile twice.
     static ONE_AT_A_TIME: Mutex<()> = Mutex::new(());
     let _guard = ONE_AT_A_TIME.lock().unwrap_or_else(PoisonError::into_inner);
@@ -78,8 +81,10 @@ fn provide(device: DeviceChoice, (major, minor): (i32, i32)) -> Result<(), Devic
         |(id, source)| {
             let module = KernelModule { name: id.name(), source, entries: &[] };
             let compiled = compile(&module, architecture, &cache);
-            let compiled =
-                compiled.map_err(|e| DeviceError::Kernels { device, problem: e.to_string() })?;
+            let compiled = compiled.map_err(|e| DeviceError::Kernels {
+                device: device.clone(),
+                problem: e.to_string(),
+            })?;
             kernels::provide(*id, compiled.ptx);
             Ok(())
         },

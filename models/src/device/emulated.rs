@@ -1,5 +1,5 @@
-//! Tensors of the CPU as those of another device: tests see which passes launch kernels, what is composed of candle's
-//! operations where there are no kernels, and what layers do away from the CPU.
+//! Tensors of the CPU as those of another device, whose kernels run on an emulated grid: tests see which passes launch
+//! kernels, and what layers do away from the CPU.
 
 use super::launches::{self, Launches};
 use crate::scoped::with_value;
@@ -10,20 +10,11 @@ use scenesplat_kernels::fallbacks::Pass;
 use std::cell::RefCell;
 use std::collections::BTreeMap;
 
-/// The device that the CPU stands in for.
-#[derive(Debug, Clone, Copy)]
-pub enum EmulatedDevice {
-    /// One with our kernels, as CUDA; they run on an emulated grid.
-    Kernels(Emulator),
-    /// One with candle's operations alone, as Metal; those are the CPU's.
-    Tensors,
-}
-
 /// Operations with their passes, and how often each ran.
 type Counts = BTreeMap<(&'static str, Pass), usize>;
 
 struct Emulated {
-    device: EmulatedDevice,
+    emulator: Emulator,
     seen: Counts,
 }
 
@@ -31,11 +22,10 @@ thread_local! {
     static EMULATED: RefCell<Option<Emulated>> = const { RefCell::new(None) };
 }
 
-/// Runs `work` as on a device, on this thread only: passes with kernels are launched, or operations are composed of candle's,
-/// and weights are not packed. Gives the passes that were launched, or the operations that were composed (as forward passes),
-/// and how often.
-pub fn on_emulated_device<R>(device: EmulatedDevice, work: impl FnOnce() -> R) -> (R, Counts) {
-    let emulated = Emulated { device, seen: BTreeMap::new() };
+/// Runs `work` as on a device, on this thread only: passes with kernels are launched, and weights are not packed. Gives the
+/// passes that were launched, and how often.
+pub fn on_emulated_device<R>(emulator: Emulator, work: impl FnOnce() -> R) -> (R, Counts) {
+    let emulated = Emulated { emulator, seen: BTreeMap::new() };
     let (done, left) = with_value(&EMULATED, emulated, work);
     (done, left.map(|e| e.seen).unwrap_or_default())
 }
@@ -45,18 +35,13 @@ pub fn is_emulated() -> bool {
     EMULATED.with_borrow(Option::is_some)
 }
 
-/// The device of this thread, if it acts as if on one.
-fn device() -> Option<EmulatedDevice> {
-    EMULATED.with_borrow(|active| active.as_ref().map(|e| e.device))
-}
-
-/// Whether operations are composed of candle's.
-pub(crate) fn composes() -> bool {
-    matches!(device(), Some(EmulatedDevice::Tensors))
+/// The grid of this thread, if it acts as if on a device.
+fn emulator() -> Option<Emulator> {
+    EMULATED.with_borrow(|active| active.as_ref().map(|e| e.emulator))
 }
 
 /// Counts a pass, if this thread acts as if on a device.
-pub(crate) fn note(pass: (&'static str, Pass)) {
+fn note(pass: (&'static str, Pass)) {
     EMULATED.with_borrow_mut(|active| {
         if let Some(emulated) = active {
             *emulated.seen.entry(pass).or_default() += 1;
@@ -72,7 +57,7 @@ pub(crate) fn run(
     inputs: &[(&[f32], &[usize])],
     pass: &impl Launches,
 ) -> Result<Option<Vec<Values>>> {
-    let Some(EmulatedDevice::Kernels(emulator)) = device() else { return Ok(None) };
+    let Some(emulator) = emulator() else { return Ok(None) };
     let launch = || -> std::result::Result<_, EmulatorError> {
         let mut buffers: Vec<Buffer> = Vec::with_capacity(inputs.len());
         for (values, _) in inputs {
@@ -95,7 +80,7 @@ pub(crate) fn run(
 
 /// Mean and biased variance of each channel, if passes are launched on this thread.
 pub(crate) fn batch_statistics(x: &[f32], dims: &[usize]) -> Result<Option<(Vec<f64>, Vec<f64>)>> {
-    let Some(EmulatedDevice::Kernels(emulator)) = device() else { return Ok(None) };
+    let Some(emulator) = emulator() else { return Ok(None) };
     note(("batch_statistics", Pass::Forward));
     let x = emulator.upload_values(x).map_err(Error::wrap)?;
     launches::batch_statistics(&emulator, (&x, dims)).map(Some).map_err(Error::wrap)

@@ -1,4 +1,4 @@
-//! Where networks compute: the processor, or a graphics processor.
+//! Where networks compute: the processor, a CUDA device, or a graphics processor of any maker.
 //!
 //! A program with the feature `cuda` is built without any toolkit and starts without any driver: CUDA's libraries
 //! are loaded when a device is opened, and the kernels are compiled then. So "there is no such device" is an answer
@@ -17,24 +17,40 @@ use std::fmt;
 use std::str::FromStr;
 
 /// A device as it is asked for.
-#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Hash)]
+#[derive(Debug, Clone, Default, PartialEq, Eq, Hash)]
 pub enum DeviceChoice {
     /// The processor.
     #[default]
     Cpu,
     /// The CUDA device of this number.
     Cuda(usize),
-    /// The Metal device of this number.
-    Metal(usize),
-    /// The first CUDA or Metal device; the processor if there is none.
+    /// A graphics processor of any maker, for inference.
+    Gpu(GpuName),
+    /// The first CUDA device, else the first graphics processor that is no program on the CPU; the processor if there is
+    /// none.
     Auto,
+}
+
+/// Which graphics processor.
+#[derive(Debug, Clone, Default, PartialEq, Eq, Hash)]
+pub enum GpuName {
+    /// The best for computing.
+    #[default]
+    Best,
+    /// Of this number in the system's list, the best first.
+    Number(usize),
+    /// Whose name contains this text.
+    Named(String),
 }
 
 /// A device that is ready, and what there is to say about it.
 #[derive(Debug, Clone)]
 pub struct OpenDevice {
-    /// The device.
+    /// Where tensors are: the processor for a graphics processor without tensors.
     pub device: Device,
+    /// The graphics processor that runs networks.
+    #[cfg(feature = "wgpu")]
+    pub gpu: Option<scenesplat_gpu::Gpu>,
     /// What it calls itself, or `cpu`.
     pub name: String,
     /// Why it is the processor, where another one was looked for.
@@ -57,16 +73,6 @@ pub enum DeviceError {
         /// The feature that adds it.
         feature: &'static str,
     },
-    /// There is no such interface on this system.
-    #[error("{device}: {what} is there on {systems} alone; compute on cpu")]
-    OtherSystem {
-        /// What was asked for.
-        device: DeviceChoice,
-        /// The interface.
-        what: &'static str,
-        /// Where it is.
-        systems: &'static str,
-    },
     /// A library was not found.
     #[error("{device}: {library} was not found; {help}, or compute on cpu")]
     NoLibrary {
@@ -85,6 +91,20 @@ pub enum DeviceError {
         /// What the driver said.
         problem: String,
     },
+    /// There is no such graphics processor, or it cannot run the kernels.
+    #[error("{device}: {problem}")]
+    Gpu {
+        /// What was asked for.
+        device: DeviceChoice,
+        /// Why.
+        problem: String,
+    },
+    /// Tensors cannot be there, only networks for inference.
+    #[error("{device}: it runs networks for inference; train on cpu or cuda:0")]
+    NoTensors {
+        /// What was asked for.
+        device: DeviceChoice,
+    },
     /// The kernels could not be made ready.
     #[error("{device}: the kernels cannot be made ready: {problem}")]
     Kernels {
@@ -100,7 +120,9 @@ impl fmt::Display for DeviceChoice {
         match self {
             Self::Cpu => f.write_str("cpu"),
             Self::Cuda(n) => write!(f, "cuda:{n}"),
-            Self::Metal(n) => write!(f, "metal:{n}"),
+            Self::Gpu(GpuName::Best) => f.write_str("gpu"),
+            Self::Gpu(GpuName::Number(n)) => write!(f, "gpu:{n}"),
+            Self::Gpu(GpuName::Named(name)) => write!(f, "gpu:{name}"),
             Self::Auto => f.write_str("auto"),
         }
     }
@@ -111,22 +133,24 @@ impl FromStr for DeviceChoice {
 
     fn from_str(text: &str) -> Result<Self, String> {
         let problem = || {
-            format!("{text:?} is no device; write cpu, cuda:0 (or another number), metal:0 or auto")
+            format!(
+                "{text:?} is no device; write cpu, cuda:0 (or another number), gpu, gpu:1, gpu:NAME or auto"
+            )
         };
         let (name, number) = text.split_once(':').map_or((text, None), |(name, n)| (name, Some(n)));
-        let number = match number {
-            // Digits alone: a number may not be written in several ways.
-            Some(n) if !n.is_empty() && n.bytes().all(|b| b.is_ascii_digit()) => {
-                Some(n.parse().map_err(|_| problem())?)
-            }
-            Some(_) => return Err(problem()),
-            None => None,
-        };
+        // Digits alone: a number may not be written in several ways.
+        let is_number = |n: &str| !n.is_empty() && n.bytes().all(|b| b.is_ascii_digit());
+        let parsed = |n: &str| n.parse().map_err(|_| problem());
         match (name, number) {
             ("cpu", None) => Ok(Self::Cpu),
             ("auto", None) => Ok(Self::Auto),
-            ("cuda", number) => Ok(Self::Cuda(number.unwrap_or(0))),
-            ("metal", number) => Ok(Self::Metal(number.unwrap_or(0))),
+            ("cuda", None) => Ok(Self::Cuda(0)),
+            ("cuda", Some(n)) if is_number(n) => Ok(Self::Cuda(parsed(n)?)),
+            ("gpu", None) => Ok(Self::Gpu(GpuName::Best)),
+            ("gpu", Some(n)) if is_number(n) => Ok(Self::Gpu(GpuName::Number(parsed(n)?))),
+            ("gpu", Some(part)) if part.bytes().any(|b| b.is_ascii_alphabetic()) => {
+                Ok(Self::Gpu(GpuName::Named(part.to_owned())))
+            }
             _ => Err(problem()),
         }
     }
@@ -137,20 +161,60 @@ impl DeviceChoice {
     ///
     /// # Errors
     /// Why that is not possible. [`Auto`](Self::Auto) gives the processor then, and the reason with it.
-    pub fn open(self) -> Result<OpenDevice, DeviceError> {
+    pub fn open(&self) -> Result<OpenDevice, DeviceError> {
         match self {
-            Self::Cpu => Ok(cpu(None)),
-            Self::Cuda(number) => cuda(self, number),
-            Self::Metal(number) => metal(self, number),
+            Self::Cpu => Ok(OpenDevice::default()),
+            Self::Cuda(number) => cuda(self, *number),
+            Self::Gpu(name) => gpu(self, name),
             Self::Auto => {
-                let first = if cfg!(target_vendor = "apple") {
-                    metal(Self::Metal(0), 0)
-                } else {
-                    cuda(Self::Cuda(0), 0)
-                };
-                Ok(first.unwrap_or_else(|why| cpu(Some(why))))
+                Ok(cuda(&Self::Cuda(0), 0).or_else(|why| hardware_gpu().ok_or(why)).unwrap_or_else(
+                    |why| OpenDevice { fell_back: Some(why), ..OpenDevice::default() },
+                ))
             }
         }
+    }
+
+    /// As [`open`](Self::open), for training.
+    ///
+    /// # Errors
+    /// As there, and of a graphics processor that runs networks for inference only.
+    pub fn open_for_training(&self) -> Result<OpenDevice, DeviceError> {
+        match self {
+            Self::Gpu(_) => Err(DeviceError::NoTensors { device: self.clone() }),
+            Self::Auto => Ok(cuda(&Self::Cuda(0), 0).unwrap_or_else(|why| OpenDevice {
+                fell_back: Some(why),
+                ..OpenDevice::default()
+            })),
+            Self::Cpu | Self::Cuda(_) => self.open(),
+        }
+    }
+}
+
+impl Default for OpenDevice {
+    /// The processor.
+    fn default() -> Self {
+        Self::of_tensors(Device::Cpu, "cpu".to_owned())
+    }
+}
+
+impl OpenDevice {
+    fn of_tensors(device: Device, name: String) -> Self {
+        Self {
+            device,
+            #[cfg(feature = "wgpu")]
+            gpu: None,
+            name,
+            fell_back: None,
+        }
+    }
+
+    /// Whether it is the processor.
+    pub fn is_cpu(&self) -> bool {
+        #[cfg(feature = "wgpu")]
+        if self.gpu.is_some() {
+            return false;
+        }
+        self.device.is_cpu()
     }
 }
 
@@ -175,34 +239,51 @@ pub(crate) fn off_host(device: &Device) -> bool {
     !device.is_cpu()
 }
 
-fn cpu(fell_back: Option<DeviceError>) -> OpenDevice {
-    OpenDevice { device: Device::Cpu, name: "cpu".to_owned(), fell_back }
-}
-
 #[cfg(feature = "cuda")]
-fn cuda(choice: DeviceChoice, number: usize) -> Result<OpenDevice, DeviceError> {
+fn cuda(choice: &DeviceChoice, number: usize) -> Result<OpenDevice, DeviceError> {
     cuda::open(choice, number)
 }
 
 #[cfg(not(feature = "cuda"))]
-fn cuda(device: DeviceChoice, _: usize) -> Result<OpenDevice, DeviceError> {
-    Err(DeviceError::NotBuilt { device, what: "CUDA", feature: "cuda" })
+fn cuda(choice: &DeviceChoice, _: usize) -> Result<OpenDevice, DeviceError> {
+    Err(DeviceError::NotBuilt { device: choice.clone(), what: "CUDA", feature: "cuda" })
 }
 
-#[cfg(all(feature = "metal", target_vendor = "apple"))]
-fn metal(device: DeviceChoice, number: usize) -> Result<OpenDevice, DeviceError> {
-    let opened = Device::new_metal(number);
-    let problem = |error: candle_core::Error| error.to_string();
-    let opened = opened.map_err(|e| DeviceError::Unusable { device, problem: problem(e) })?;
-    Ok(OpenDevice { device: opened, name: device.to_string(), fell_back: None })
+#[cfg(feature = "wgpu")]
+fn gpu(choice: &DeviceChoice, name: &GpuName) -> Result<OpenDevice, DeviceError> {
+    let wanted = match name {
+        GpuName::Best => scenesplat_gpu::Choice::Best,
+        GpuName::Number(number) => scenesplat_gpu::Choice::Number(*number),
+        GpuName::Named(name) => scenesplat_gpu::Choice::Named(name.clone()),
+    };
+    let problem = |error: scenesplat_gpu::GpuError| DeviceError::Gpu {
+        device: choice.clone(),
+        problem: error.to_string(),
+    };
+    Ok(of_gpu(scenesplat_gpu::Gpu::open(&wanted).map_err(problem)?))
 }
 
-#[cfg(not(all(feature = "metal", target_vendor = "apple")))]
-fn metal(device: DeviceChoice, _: usize) -> Result<OpenDevice, DeviceError> {
-    Err(match cfg!(target_vendor = "apple") {
-        true => DeviceError::NotBuilt { device, what: "Metal", feature: "metal" },
-        false => DeviceError::OtherSystem { device, what: "Metal", systems: "Apple's systems" },
-    })
+#[cfg(feature = "wgpu")]
+fn of_gpu(gpu: scenesplat_gpu::Gpu) -> OpenDevice {
+    let name = gpu.info().to_string();
+    OpenDevice { gpu: Some(gpu), name, ..OpenDevice::default() }
+}
+
+#[cfg(not(feature = "wgpu"))]
+fn gpu(choice: &DeviceChoice, _: &GpuName) -> Result<OpenDevice, DeviceError> {
+    let what = "kernels for graphics processors of any maker";
+    Err(DeviceError::NotBuilt { device: choice.clone(), what, feature: "wgpu" })
+}
+
+/// The best graphics processor that is no program on the CPU: that would compute the same, slower.
+fn hardware_gpu() -> Option<OpenDevice> {
+    #[cfg(feature = "wgpu")]
+    return scenesplat_gpu::Gpu::open(&scenesplat_gpu::Choice::Best)
+        .ok()
+        .filter(|gpu| !gpu.info().software)
+        .map(of_gpu);
+    #[cfg(not(feature = "wgpu"))]
+    None
 }
 
 #[cfg(test)]
@@ -216,14 +297,18 @@ mod tests {
             ("auto", DeviceChoice::Auto),
             ("cuda", DeviceChoice::Cuda(0)),
             ("cuda:3", DeviceChoice::Cuda(3)),
-            ("metal:0", DeviceChoice::Metal(0)),
+            ("gpu", DeviceChoice::Gpu(GpuName::Best)),
+            ("gpu:2", DeviceChoice::Gpu(GpuName::Number(2))),
+            ("gpu:llvmpipe", DeviceChoice::Gpu(GpuName::Named("llvmpipe".to_owned()))),
         ] {
             assert_eq!(text.parse::<DeviceChoice>().unwrap(), choice);
+            let same = choice.to_string().parse::<DeviceChoice>().unwrap();
+            assert_eq!(same, choice, "{text}");
         }
-        assert_eq!(DeviceChoice::Cuda(3).to_string(), "cuda:3");
-        for wrong in
-            ["", "gpu", "cpu:0", "auto:1", "cuda:", "cuda:-1", "cuda:+1", "cuda:1 ", "CUDA:0"]
-        {
+        for wrong in [
+            "", "gpu:", "gpu:-1", "metal:0", "cpu:0", "auto:1", "cuda:", "cuda:-1", "cuda:1 ",
+            "CUDA:0",
+        ] {
             let error = wrong.parse::<DeviceChoice>().unwrap_err();
             assert!(error.contains("cuda:0") && error.contains("cpu"), "{error}");
         }
@@ -237,16 +322,14 @@ mod tests {
             assert!(error.to_string().starts_with("cuda:1: "), "{error}");
             assert!(matches!(error, DeviceError::NotBuilt { feature: "cuda", .. }));
         }
-        if !cfg!(target_vendor = "apple") {
-            let error = DeviceChoice::Metal(0).open().unwrap_err();
-            assert!(matches!(error, DeviceError::OtherSystem { .. }));
-            assert!(error.to_string().contains("Apple"), "{error}");
-        } else if !cfg!(feature = "metal") {
-            let error = DeviceChoice::Metal(0).open().unwrap_err();
-            assert!(matches!(error, DeviceError::NotBuilt { feature: "metal", .. }));
-        }
+        let gpu = DeviceChoice::Gpu(GpuName::Number(99));
+        let error = gpu.open().unwrap_err();
+        assert!(error.to_string().starts_with("gpu:99: "), "{error}");
+        assert_eq!(cfg!(feature = "wgpu"), matches!(error, DeviceError::Gpu { .. }));
+        let error = gpu.open_for_training().unwrap_err();
+        assert!(error.to_string().contains("train on cpu"), "{error}");
         // Whatever this machine has: a device that is not the processor, or the processor and a reason.
         let auto = DeviceChoice::Auto.open().unwrap();
-        assert_eq!(auto.device.is_cpu(), auto.fell_back.is_some());
+        assert_eq!(auto.is_cpu(), auto.fell_back.is_some());
     }
 }

@@ -23,13 +23,18 @@ impl LayerNorm {
     /// # Errors
     /// If the parameters exist with another shape.
     pub fn new(channels: usize, vb: VarBuilder<'_>) -> Result<Self> {
-        let weight = vb.get_with_hints(channels, "weight", Init::Const(1.0))?;
-        let bias = vb.get_with_hints(channels, "bias", Init::Const(0.0))?;
+        let (weight, bias) = Self::parameters(channels, &vb)?;
         Ok(Self(if stays_tensor(&weight) {
             Form::Tensors { weight, bias }
         } else {
             Form::Frozen { weight: vector(&weight)?, bias: vector(&bias)? }
         }))
+    }
+
+    /// Weight and bias.
+    pub(crate) fn parameters(channels: usize, vb: &VarBuilder<'_>) -> Result<(Tensor, Tensor)> {
+        let weight = vb.get_with_hints(channels, "weight", Init::Const(1.0))?;
+        Ok((weight, vb.get_with_hints(channels, "bias", Init::Const(0.0))?))
     }
 
     /// `[N, C] → [N, C]`

@@ -5,14 +5,14 @@ mod batch_norm;
 mod cell_pooling;
 mod drop_path;
 mod layer_norm;
-mod linear;
+pub(crate) mod linear;
 mod linear_norm;
 mod linear_norm_relu;
 mod low_rank_conv;
 mod mlp;
 mod norm;
 mod residual_conv;
-mod sparse_conv;
+pub(crate) mod sparse_conv;
 
 pub(crate) use attention_mlp::{AttentionMlp, recomputed};
 pub use batch_norm::{BatchNorm, BatchNormConstants, StatisticsUpdate, record_statistics};

@@ -142,7 +142,7 @@ impl SparseConv {
 }
 
 /// Weight and bias; uniform in ±1/√(in·k³).
-fn parameters(
+pub(crate) fn parameters(
     cin: usize,
     cout: usize,
     k: usize,
@@ -156,7 +156,7 @@ fn parameters(
 }
 
 /// A weight with its bias.
-type Parameters = (Tensor, Option<Tensor>);
+pub(crate) type Parameters = (Tensor, Option<Tensor>);
 
 /// Those of a convolution and of the linear layer after it.
 fn pair(
@@ -170,7 +170,7 @@ fn pair(
 }
 
 /// One convolution that is both: the products of their weights, `[c, taps, c]`, and its bias.
-fn join(
+pub(crate) fn join(
     (weight, bias): Parameters,
     (outer, outer_bias): Parameters,
     c: usize,

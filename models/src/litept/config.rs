@@ -167,12 +167,12 @@ impl LitePtConfig {
     }
 
     /// Channels of the rows that come up to a decoder stage.
-    pub(super) fn channels_below(&self, stage: usize) -> usize {
+    pub(crate) fn channels_below(&self, stage: usize) -> usize {
         channels_below(&self.enc_channels, &self.dec_channels, stage)
     }
 
     /// Whether any block at this scale attends.
-    pub(super) fn attends(&self, scale: usize) -> bool {
+    pub(crate) fn attends(&self, scale: usize) -> bool {
         let any = |depths: &[usize], kinds: &[BlockKind]| {
             depths.get(scale).is_some_and(|&d| d > 0)
                 && kinds.get(scale).is_some_and(|k| k.has_attention())
@@ -181,7 +181,7 @@ impl LitePtConfig {
     }
 
     /// Shapes of the blocks of each encoder stage.
-    pub(super) fn encoder_blocks(&self) -> Vec<Vec<BlockShape>> {
+    pub(crate) fn encoder_blocks(&self) -> Vec<Vec<BlockShape>> {
         // Counted over convolution blocks too, which do not use them.
         let rates = drop_rates(&self.enc_depths, self.drop_path);
         let (channels, heads) = (&self.enc_channels, &self.enc_num_head);
@@ -190,7 +190,7 @@ impl LitePtConfig {
 
     /// Shapes of the blocks of each decoder stage: the first that runs, in the coarsest stage, has
     /// the highest drop rate.
-    pub(super) fn decoder_blocks(&self) -> Vec<Vec<BlockShape>> {
+    pub(crate) fn decoder_blocks(&self) -> Vec<Vec<BlockShape>> {
         let rates = falling_drop_rates(&self.dec_depths, self.drop_path);
         let (channels, heads) = (&self.dec_channels, &self.dec_num_head);
         self.blocks(&rates, &self.dec_blocks, channels, heads, &self.dec_patch_size)

@@ -1,6 +1,6 @@
 //! A bias for every row, of layers whose product is the device's library's.
 
-use super::{Array, Operation, apply, composed, gradients};
+use super::{Array, Operation, apply, gradients};
 use crate::device::launches::{Input, Launched, matrix, room};
 use candle_core::{Result, Shape, Tensor, bail};
 use scenesplat_device::{Launcher, ops};
@@ -47,12 +47,9 @@ impl Operation for AddBias {
         ops::columns::column_sums(l, grad, n, c, &mut sums)?;
         Ok(Some(vec![(sums, of_bias.into())]))
     }
-    fn composed(&self, inputs: &[&Tensor]) -> Result<Option<Tensor>> {
-        composed::add_bias(inputs[0], inputs[1]).map(Some)
-    }
 }
 
-/// `x + bias`. Thousands of rows are added up for the gradient of the bias: in f64, or by parts of the device's product.
+/// `x + bias`. Thousands of rows are added up for the gradient of the bias, in f64.
 ///
 /// # Shapes
 /// `x`: `[N, C]` · `bias`: `[C]` · returns `[N, C]`

@@ -1,6 +1,6 @@
 //! Batch normalization.
 
-use super::{Array, Operation, Pass, apply, composed, frozen, here, read};
+use super::{Array, Operation, Pass, apply, frozen, here, read};
 use crate::device::launches::{Input, Launched, matrix, room};
 use crate::peers::Together;
 use candle_core::{Result, Shape, Tensor, bail};
@@ -64,10 +64,6 @@ fn moments(x: &Tensor, c: usize) -> Result<(Vec<f64>, Vec<f64>)> {
     if x.device().is_cuda() {
         return crate::device::launcher::batch_statistics(x);
     }
-    if composed::applies(x.device()) {
-        composed::note("batch_statistics");
-        return composed::batch_statistics(x);
-    }
     #[cfg(feature = "emulation")]
     if let Some(found) =
         read("batch_norm", x, |values| crate::device::emulated::batch_statistics(values, x.dims()))?
@@ -107,7 +103,6 @@ pub(crate) fn shared_batch_statistics(
 
 struct BatchNorm {
     statistics: Arc<BatchStatistics>,
-    eps: f64,
     inverse: Vec<f64>,
 }
 
@@ -180,18 +175,6 @@ impl Operation for BatchNorm {
         let parameters = [found.weight, found.bias].map(|of| (of, of_weight.into()));
         Ok(Some([(dx, dims.into())].into_iter().chain(parameters).collect()))
     }
-    fn composed(&self, inputs: &[&Tensor]) -> Result<Option<Tensor>> {
-        let (x, weight, bias) = (inputs[0], inputs[1], inputs[2]);
-        let mean = &self.statistics.mean;
-        match self.statistics.source {
-            StatisticsSource::Peers { .. } => return Ok(None),
-            StatisticsSource::Batch => composed::batch_norm(x, weight, bias, self.eps),
-            StatisticsSource::Constant => {
-                composed::normalize_by(x, weight, bias, mean, &self.inverse)
-            }
-        }
-        .map(Some)
-    }
 }
 
 /// `(scale, shift)` so that `x · scale + shift` is the normalization; `inverse = 1/√(var + ε)`.
@@ -222,7 +205,7 @@ pub fn batch_norm(
     eps: f64,
 ) -> Result<Tensor> {
     let inverse = statistics.var.iter().map(|v| 1.0 / (v + eps).sqrt()).collect();
-    let norm = BatchNorm { statistics: Arc::new(statistics), eps, inverse };
+    let norm = BatchNorm { statistics: Arc::new(statistics), inverse };
     apply(norm, &[x, weight, bias])
 }
 

@@ -37,9 +37,6 @@ impl Operation for Gelu {
         ops::activation::gelu_backward(l, inputs[0].0, grad, count, &mut dx)?;
         Ok(Some(vec![(dx, dims.into())]))
     }
-    fn composed(&self, inputs: &[&Tensor]) -> Result<Option<Tensor>> {
-        inputs[0].gelu_erf().map(Some)
-    }
 }
 
 /// `x · Φ(x)` with the exact normal distribution, any shape.

@@ -1,6 +1,6 @@
 //! Layer normalization.
 
-use super::{Array, Operation, apply, check_shape, composed, frozen, gradients, unwritten};
+use super::{Array, Operation, apply, check_shape, frozen, gradients, unwritten};
 use crate::device::launches::{Input, Launched, matrix, room};
 use candle_core::{Result, Shape, Tensor, bail};
 use scenesplat_device::{Launcher, ops};
@@ -49,9 +49,6 @@ impl Operation for LayerNorm {
         let mut dx = room(l, dims)?;
         let both = ops::layer_norm::backward(l, x, grad, weight, n, c, self.eps, &mut dx)?;
         Ok(Some(vec![(dx, dims.into()), (both, (2, c as usize).into())]))
-    }
-    fn composed(&self, inputs: &[&Tensor]) -> Result<Option<Tensor>> {
-        composed::layer_norm(inputs[0], inputs[1], inputs[2], f64::from(self.eps)).map(Some)
     }
 }
 

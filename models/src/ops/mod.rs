@@ -11,7 +11,6 @@
 
 mod add_bias;
 mod batch_norm;
-mod composed;
 mod gelu;
 mod layer_norm;
 mod linear;

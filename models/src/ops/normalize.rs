@@ -1,6 +1,6 @@
 //! Unit-length rows.
 
-use super::{Array, Operation, apply, composed};
+use super::{Array, Operation, apply};
 use crate::device::off_host;
 use candle_core::{Result, Shape, Tensor};
 use scenesplat_kernels::normalize::{norm, normalize_rows};
@@ -76,7 +76,17 @@ pub fn l2_normalize_above(x: &Tensor, floor: f64) -> Result<Tensor> {
     let floor = floor.max(EPS);
     if off_host(x.device()) {
         x.dims2()?;
-        return composed::unit_rows(x, floor);
+        return unit_rows(x, floor);
     }
     apply(L2Normalize { floor }, &[x])
+}
+
+/// As [`l2_normalize_above`] by candle's operations, with their gradients. What is divided by a norm is divided by the largest
+/// magnitude first, so that no square overflows; that divisor has no gradient, for the result does not depend on it.
+fn unit_rows(x: &Tensor, floor: f64) -> Result<Tensor> {
+    let largest = x.detach().abs()?.max_keepdim(1)?.maximum(floor)?;
+    let x = x.broadcast_div(&largest)?;
+    let floor = (largest.recip()? * floor)?.sqr()?;
+    // The floor goes under the root: at zero its gradient is infinite.
+    x.broadcast_div(&x.sqr()?.sum_keepdim(1)?.maximum(&floor)?.sqrt()?)
 }

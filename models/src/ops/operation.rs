@@ -1,14 +1,14 @@
 //! Differentiable operations: what each says about itself, and how candle runs it on any device.
 //!
-//! On CUDA an operation launches its kernels, on Metal it is composed of candle's own operations. Where it has neither, the
-//! CPU computes it on copies of the values; each such pass is counted in [`scenesplat_kernels::fallbacks`].
+//! On CUDA an operation launches its kernels. Where it has none, the CPU computes it on copies of the values; each such pass
+//! is counted in [`scenesplat_kernels::fallbacks`].
 
-use super::{Array, composed, cpu_slice, read_all};
+use super::{Array, cpu_slice, read_all};
 use crate::device::launches::{Input, Launched, Launches};
 use candle_core::backend::{BackendDevice, BackendStorage};
 use candle_core::{
-    CpuStorage, CudaStorage, CustomOp1, CustomOp2, CustomOp3, Device, Layout, MetalStorage, Result,
-    Shape, Tensor, bail,
+    CpuStorage, CudaStorage, CustomOp1, CustomOp2, CustomOp3, Device, Layout, Result, Shape,
+    Tensor, bail,
 };
 use scenesplat_device::Launcher;
 use scenesplat_kernels::fallbacks::{self, Pass};
@@ -39,12 +39,6 @@ pub(crate) trait Operation: Sized + Send + Sync + 'static {
         Ok(None)
     }
 
-    /// The result, by candle's operations, where a device has no kernels of ours.
-    fn composed(&self, inputs: &[&Tensor]) -> Result<Option<Tensor>> {
-        _ = inputs;
-        Ok(None)
-    }
-
     /// The gradient of each input, as tensors.
     fn gradients(&self, inputs: &[&Tensor], grad: &Tensor) -> Result<Vec<Tensor>> {
         gradients(self, inputs, grad)
@@ -56,14 +50,6 @@ pub(crate) trait Operation: Sized + Send + Sync + 'static {
 /// # Errors
 /// If shapes do not fit or a tensor is not f32.
 pub(crate) fn apply<O: Operation>(operation: O, inputs: &[&Tensor]) -> Result<Tensor> {
-    if composed::applies(inputs[0].device()) {
-        let shapes: Vec<&Shape> = inputs.iter().map(|t| t.shape()).collect();
-        operation.shape(&shapes)?;
-        if let Some(out) = operation.composed(inputs)? {
-            composed::note(O::NAME);
-            return Ok(out);
-        }
-    }
     let x = inputs[0].contiguous()?;
     match *inputs {
         [_] => x.apply_op1(Custom(operation)),
@@ -176,10 +162,6 @@ impl<O: Operation> Custom<O> {
         self.on_copies(inputs)
     }
 
-    fn on_metal(&self, inputs: &[(&MetalStorage, &Layout)]) -> Result<(MetalStorage, Shape)> {
-        self.on_copies(inputs)
-    }
-
     /// The pass of the CPU on copies of a device's values; the result goes back there.
     fn on_copies<S: BackendStorage>(&self, inputs: &[(&S, &Layout)]) -> Result<(S, Shape)>
     where
@@ -207,9 +189,6 @@ macro_rules! forward_passes {
         }
         fn cuda_fwd(&self, $($storage: &CudaStorage, $layout: &Layout),*) -> Result<(CudaStorage, Shape)> {
             self.on_cuda(&[$(($storage, $layout)),*])
-        }
-        fn metal_fwd(&self, $($storage: &MetalStorage, $layout: &Layout),*) -> Result<(MetalStorage, Shape)> {
-            self.on_metal(&[$(($storage, $layout)),*])
         }
     };
 }

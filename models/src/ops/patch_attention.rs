@@ -1,6 +1,6 @@
 //! Attention inside patches of a serialized order.
 
-use super::{Array, Operation, apply, composed};
+use super::{Array, Operation, apply};
 use crate::device::launches::{Input, Launched, Uploaded, narrow, room};
 use candle_core::{Result, Shape, Tensor, bail};
 use scenesplat_device::{Launcher, ops::patch_attention as device};
@@ -85,9 +85,6 @@ impl Operation for PatchAttention {
         let mut dqkv = room(l, dims)?;
         device::backward(l, qkv, heads, &patches, &order, &attended, grad, &mut dqkv)?;
         Ok(Some(vec![(dqkv, dims.into())]))
-    }
-    fn composed(&self, inputs: &[&Tensor]) -> Result<Option<Tensor>> {
-        composed::patch_attention(inputs[0], self.heads, &self.patches, &self.order).map(Some)
     }
 }
 

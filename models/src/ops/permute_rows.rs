@@ -1,6 +1,6 @@
 //! A permutation of rows whose backward pass is the gather by the inverse.
 
-use super::{Array, Operation, apply, composed, gather_launch};
+use super::{Array, Operation, apply, gather_launch};
 use crate::device::launches::{Input, Launched};
 use candle_core::{Result, Shape, Tensor, bail};
 use scenesplat_device::Launcher;
@@ -37,9 +37,6 @@ impl Operation for PermuteRows {
     }
     fn launch_backward<L: Launcher>(&self, l: &L, inputs: &[Input<'_, L>]) -> Launched<L> {
         gather_launch(l, inputs[1], &self.inverse)
-    }
-    fn composed(&self, inputs: &[&Tensor]) -> Result<Option<Tensor>> {
-        composed::gather(inputs[0], &self.order).map(Some)
     }
 }
 

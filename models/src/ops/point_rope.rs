@@ -1,6 +1,6 @@
 //! Rotary embedding of voxel coordinates.
 
-use super::{Array, Operation, apply, composed};
+use super::{Array, Operation, apply};
 use crate::device::launches::{Input, Launched, matrix, narrow, room};
 use candle_core::{Result, Shape, Tensor, bail};
 use scenesplat_device::ops::rows::Width;
@@ -60,9 +60,6 @@ impl Operation for PointRope {
     }
     fn launch_backward<L: Launcher>(&self, l: &L, inputs: &[Input<'_, L>]) -> Launched<L> {
         self.turn(l, inputs[1], Turn::Back)
-    }
-    fn composed(&self, inputs: &[&Tensor]) -> Result<Option<Tensor>> {
-        composed::point_rope(inputs[0], self.heads, &self.rotations).map(Some)
     }
 }
 

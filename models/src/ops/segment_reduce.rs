@@ -1,6 +1,6 @@
 //! Pooling of groups of rows, and its counterpart.
 
-use super::{Array, Operation, apply, composed, gather_launch};
+use super::{Array, Operation, apply, gather_launch};
 use crate::device::launches::{Input, Launched, Uploaded, matrix, narrow, room};
 use candle_core::{Result, Shape, Tensor, bail};
 use scenesplat_device::{Launcher, ops::segment as device};
@@ -94,12 +94,6 @@ impl Operation for SegmentReduce {
         device::reduce_backward(l, x, c, groups.view(), on_device(self.how), grad, &mut dx)?;
         Ok(Some(vec![(dx, dims.into())]))
     }
-    fn composed(&self, inputs: &[&Tensor]) -> Result<Option<Tensor>> {
-        if self.how == Reduce::Max {
-            return Ok(None);
-        }
-        composed::segment_reduce(inputs[0], &self.groups, self.how == Reduce::Mean).map(Some)
-    }
 }
 
 /// Reduces each group of rows to one. `x`: `[N, C]` → `[G, C]`
@@ -141,9 +135,6 @@ impl Operation for ExpandGroups {
     }
     fn launch_backward<L: Launcher>(&self, l: &L, inputs: &[Input<'_, L>]) -> Launched<L> {
         reduced(l, inputs[1], &self.groups, Reduce::Sum)
-    }
-    fn composed(&self, inputs: &[&Tensor]) -> Result<Option<Tensor>> {
-        composed::gather(inputs[0], self.groups.inverse()).map(Some)
     }
 }
 

@@ -1,6 +1,6 @@
 //! Submanifold convolution.
 
-use super::{Array, Operation, apply, composed, frozen, refuse_training, unwritten};
+use super::{Array, Operation, apply, frozen, refuse_training, unwritten};
 use crate::device::launches::{Input, Launched, Uploaded, matrix, narrow, room};
 use candle_core::{Result, Shape, Tensor, bail};
 use scenesplat_device::Launcher;
@@ -103,9 +103,6 @@ impl Operation for SparseConv {
             found.push((db, (*of_bias).into()));
         }
         Ok(Some(found))
-    }
-    fn composed(&self, inputs: &[&Tensor]) -> Result<Option<Tensor>> {
-        composed::sparse_conv(inputs[0], inputs[1], inputs.get(2).copied(), &self.map).map(Some)
     }
 }
 

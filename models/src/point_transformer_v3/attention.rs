@@ -6,7 +6,7 @@ use candle_core::{Result, Tensor};
 use candle_nn::VarBuilder;
 use scenesplat_kernels::Precision;
 use scenesplat_kernels::patch_attention::Heads;
-use scenesplat_kernels::serialized_cloud::SerializedCloud;
+use scenesplat_kernels::serialized_cloud::{CurveDepth, SerializedCloud};
 use serde::{Deserialize, Serialize};
 
 /// Whether scenes of a batch are kept apart where the original mixes them.
@@ -20,6 +20,27 @@ pub enum BatchRule {
     SharedDepth,
     /// Also patches no longer than the smallest scene, as the original without flash attention.
     SharedDepthAndPatch,
+}
+
+impl BatchRule {
+    /// From which voxels curve bits are counted.
+    pub(crate) fn curve_depth(self) -> CurveDepth {
+        match self {
+            Self::Isolated => CurveDepth::PerScene,
+            Self::SharedDepth | Self::SharedDepthAndPatch => CurveDepth::WholeBatch,
+        }
+    }
+
+    /// Points of a patch in a batch of scenes, of so many at most.
+    pub(crate) fn patch_size(self, most: usize, offsets: &[usize]) -> usize {
+        match self {
+            Self::SharedDepthAndPatch => {
+                let smallest = offsets.windows(2).map(|s| s[1] - s[0]).min();
+                smallest.unwrap_or(most).clamp(1, most)
+            }
+            Self::Isolated | Self::SharedDepth => most,
+        }
+    }
 }
 
 /// Multi-head attention inside patches of one curve order.
@@ -69,13 +90,7 @@ impl SerializedAttention {
         cloud: &SerializedCloud,
         residual: Option<&Tensor>,
     ) -> Result<Tensor> {
-        let patch_size = match self.batch_rule {
-            BatchRule::SharedDepthAndPatch => {
-                let smallest = cloud.offsets().windows(2).map(|s| s[1] - s[0]).min();
-                smallest.unwrap_or(self.patch_size).clamp(1, self.patch_size)
-            }
-            _ => self.patch_size,
-        };
+        let patch_size = self.batch_rule.patch_size(self.patch_size, cloud.offsets());
         let order = &cloud.order(self.order).order;
         let qkv = self.qkv.forward(&x)?;
         drop(x);

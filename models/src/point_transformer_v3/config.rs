@@ -59,7 +59,7 @@ pub enum Version {
 
 impl Version {
     /// The norm of stem, pooling and unpooling.
-    pub(super) fn norm(self) -> NormKind {
+    pub(crate) fn norm(self) -> NormKind {
         match self {
             Self::M1 => NormKind::Batch,
             Self::M2 => NormKind::Layer,
@@ -67,7 +67,7 @@ impl Version {
     }
 
     /// Where the token for masked rows is.
-    pub(super) fn mask_token(self) -> &'static str {
+    pub(crate) fn mask_token(self) -> &'static str {
         match self {
             Self::M1 => "mask_token",
             Self::M2 => "embedding.mask_token",
@@ -332,14 +332,14 @@ impl PointTransformerV3Config {
     }
 
     /// Shapes of the blocks of each encoder stage.
-    pub(super) fn encoder_blocks(&self) -> Vec<Vec<BlockShape>> {
+    pub(crate) fn encoder_blocks(&self) -> Vec<Vec<BlockShape>> {
         let rates = drop_rates(&self.enc_depths, self.drop_path);
         self.blocks(&rates, &self.enc_channels, &self.enc_num_head, &self.enc_patch_size)
     }
 
     /// Shapes of the blocks of each decoder stage, fine to coarse: the first block that runs, in the
     /// coarsest stage, has the highest drop rate.
-    pub(super) fn decoder_blocks(&self) -> Vec<Vec<BlockShape>> {
+    pub(crate) fn decoder_blocks(&self) -> Vec<Vec<BlockShape>> {
         let rates = falling_drop_rates(&self.dec_depths, self.drop_path);
         self.blocks(&rates, &self.dec_channels, &self.dec_num_head, &self.dec_patch_size)
     }

@@ -42,7 +42,7 @@ use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 use scenesplat_kernels::segment::{Groups, Reduce};
 use scenesplat_kernels::serialization::Curve;
-use scenesplat_kernels::serialized_cloud::{CurveDepth, SerializedCloud};
+use scenesplat_kernels::serialized_cloud::SerializedCloud;
 use std::sync::Arc;
 
 /// The network; see the module's documentation.
@@ -264,10 +264,7 @@ impl PointTransformerV3 {
     ) -> Result<(Tensor, Arc<SerializedCloud>, Option<SortedRows>)> {
         points.check_width(self.config.in_channels)?;
         let (cells, sorted) = morton_rows(points)?;
-        let depth = match self.config.batch_rule {
-            BatchRule::Isolated => CurveDepth::PerScene,
-            BatchRule::SharedDepth | BatchRule::SharedDepthAndPatch => CurveDepth::WholeBatch,
-        };
+        let depth = self.config.batch_rule.curve_depth();
         let mut cloud = SerializedCloud::new(cells, points.offsets.to_vec(), &self.curves, depth)
             .map_err(candle_core::Error::wrap)?;
         shuffle.apply(&mut cloud, cx)?;

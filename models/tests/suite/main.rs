@@ -4,6 +4,7 @@
 
 mod candle_kernels;
 mod golden;
+mod gpu;
 mod gradients;
 mod networks;
 mod support;

@@ -52,7 +52,7 @@ class Network:
         - `grid_size`: size of voxels, meters; by default the one that it was trained at
         - `halo`: context around a tile, voxels
         - `shuffle_seed`: shuffles the curve orders, as the original does
-        - `device`: "cpu", "cuda:0", "metal:0" or "auto", if the package was built for it
+        - `device`: "cpu", "cuda:0", "gpu" or "auto", if the package was built for it
         - `partial_weights`, `branch`, `conv_layout`, `head`: of checkpoints that need it
         """
         words = flags(

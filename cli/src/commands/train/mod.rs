@@ -64,8 +64,8 @@ pub struct Args {
     /// Threads and progress.
     #[command(flatten)]
     pub running: Running,
-    /// Where the network is trained: cpu; cuda:0 or metal:0 (or another number), if the program was built for it
-    /// (docs/devices.md); auto, which is the first of these that there is, else cpu.
+    /// Where the network is trained: cpu; cuda:0 (or another number), if the program was built for it (docs/devices.md);
+    /// auto, which is cuda:0 if there is one, else cpu.
     #[arg(long, value_name = "DEVICE", default_value_t = DeviceChoice::Cpu)]
     pub device: DeviceChoice,
     /// Trains on N batches (1 if not said) and evaluates on N scenes of each evaluation, to see whether everything fits
@@ -158,7 +158,7 @@ pub fn run(args: &Args) -> Result<()> {
         return Ok(());
     }
     set_threads(args.running.threads)?;
-    let device = args.device.open().context("--device")?;
+    let device = args.device.open_for_training().context("--device")?;
     if let Some(why) = &device.fell_back {
         print(&format!("--device auto: training on the cpu: {why}"));
     } else if args.device != DeviceChoice::Cpu {

@@ -9,13 +9,30 @@
 //! | [`pool`] | rows of groups |
 //! | [`rows`] | copies of rows by a list |
 //! | [`unit_rows`] | rows of unit length |
+//! | [`scan`] | running sums |
+//! | [`radix_sort`] | keys and their rows in ascending order |
+//! | [`lists`] | lists of numbers: counted up, inverted, composed |
+//! | [`scenes`] | which rows belong to which scene |
+//! | [`curves`] | codes of space-filling curves, and orders |
+//! | [`kernel_map`] | which voxel feeds which in a convolution |
+//! | [`grid_sample`] | which points share a voxel |
+//! | [`cloud`] | the scales of a scene |
 
+pub mod cloud;
+pub mod curves;
+pub mod grid_sample;
+mod grouping;
+pub mod kernel_map;
 pub mod layer_norm;
+pub mod lists;
 pub mod patch_attention;
 pub mod point_rope;
 pub mod pool;
 pub mod product;
+pub mod radix_sort;
 pub mod rows;
+pub mod scan;
+pub mod scenes;
 pub mod unit_rows;
 
 use crate::error::{Result, shape};
@@ -89,8 +106,11 @@ impl Rows {
         Ok(Self { values, rows, channels })
     }
 
-    /// Rows for a kernel to fill.
-    pub(crate) fn new(
+    /// Rows for kernels to fill; their values are anything until then.
+    ///
+    /// # Errors
+    /// If they are too large for the device.
+    pub fn new(
         commands: &mut Commands,
         what: &str,
         rows: usize,

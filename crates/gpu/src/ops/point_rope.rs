@@ -32,13 +32,14 @@ impl DeviceRotations {
 struct Params {
     slots: u32,
     heads: u32,
-    pad: [u32; 2],
+    first: u32,
+    pad: u32,
 }
 
-/// Turns queries and keys in place, and leaves values alone.
+/// Turns queries and keys in place, and leaves values alone. Slot `i` shows the row `list[first + i]`.
 ///
 /// # Shapes
-/// `qkv`: `[slots, 3·C]`, a row's channels being q, k, v, each `[heads, D]` · `list`: `[slots]`, the row of each slot
+/// `qkv`: `[slots, 3·C]`, a row's channels being q, k, v, each `[heads, D]` · `list`: `[first + slots]` or longer
 ///
 /// # Errors
 /// If sizes do not fit together.
@@ -48,9 +49,10 @@ pub fn point_rope(
     heads: Heads,
     rotations: &DeviceRotations,
     list: &Array<u32>,
+    first: usize,
 ) -> Result<()> {
-    if heads.dim != rotations.dim || qkv.channels != 3 * heads.channels() || list.len() != qkv.rows
-    {
+    let fits = list.len() >= first + qkv.rows;
+    if heads.dim != rotations.dim || qkv.channels != 3 * heads.channels() || !fits {
         return shape(format!(
             "rotary embedding: heads of {} and angles for {}, rows of {}, {} of {} slots",
             heads.dim,
@@ -63,7 +65,8 @@ pub fn point_rope(
     let (dim, stored) = (number(heads.dim)?, qkv.stored());
     let constants = [("DIM", dim), ("THIRD", dim / 6)];
     let kernel = commands.gpu().kernel("point_rope", TEXT, &stored.with(None), &constants);
-    let params = Params { slots: number(qkv.rows)?, heads: number(heads.count)?, pad: [0; 2] };
+    let (slots, heads_count) = (number(qkv.rows)?, number(heads.count)?);
+    let params = Params { slots, heads: heads_count, first: number(first)?, pad: 0 };
     let arrays: [(u32, &dyn Bound); 3] = [(1, qkv), (2, &rotations.pairs), (3, list)];
     commands.run(&kernel, &params, &arrays, groups_of_256(qkv.rows * heads.channels()))
 }

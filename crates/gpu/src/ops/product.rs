@@ -73,12 +73,15 @@ impl Weights {
 /// Which rows a product reads, and where its results go.
 #[derive(Debug, Clone, Default)]
 pub struct Product<'a> {
-    /// The source rows of a plain product, or the result rows of a convolution; all by default.
+    /// The source rows of a plain product, the result rows of a convolution, or the part of the lists that counts; all by
+    /// default.
     pub range: Option<Range<usize>>,
     /// Where the first result row goes; by default where the range begins.
     pub at: Option<usize>,
-    /// Source row of each result row.
+    /// Source row of each result row, counted from `base`.
     pub gather: Option<&'a Array<u32>>,
+    /// The number in that list that means row 0.
+    pub base: usize,
     /// Source row of each tap and result row of the range, or [`NONE`]. `[taps, range]`
     pub table: Option<&'a Array<u32>>,
     /// The row of `into` where each result row goes.
@@ -103,7 +106,7 @@ struct Params {
     outputs: u32,
     columns: u32,
     taps: u32,
-    pad: u32,
+    base: u32,
 }
 
 /// `ending(x · weight + bias)`.
@@ -139,9 +142,9 @@ pub fn product(
     if lists > 1
         || (weights.taps > 1 && how.table.is_none())
         || how.table.is_some_and(|table| table.len() != rows * weights.taps)
-        || how.gather.is_some_and(|list| list.len() != rows)
+        || how.gather.is_some_and(|list| list.len() < range.end)
         || (lists == 0 && range.end > x.rows)
-        || how.scatter.is_some_and(|list| list.len() != rows || how.into.is_none())
+        || how.scatter.is_some_and(|list| list.len() < range.end || how.into.is_none())
     {
         return shape(format!(
             "product: lists that do not fit {rows} rows of {} taps",
@@ -204,7 +207,7 @@ pub fn product(
         outputs: number(weights.outputs)?,
         columns: number(weights.values.channels / 4)?,
         taps: number(weights.taps)?,
-        pad: 0,
+        base: number(how.base)?,
     };
     let across = (weights.outputs as u64).div_ceil(columns.into());
     commands.run(&kernel, &params, &arrays, (rows as u64).div_ceil(ROWS) * across)?;

@@ -10,7 +10,7 @@ use scenesplat_kernels::point_rope::Rotations;
 use scenesplat_test_support::reference;
 
 #[test]
-fn attention_follows_the_formula_in_whole_and_borrowed_patches() {
+pub fn attention_follows_the_formula_in_whole_and_borrowed_patches() {
     let Some(gpu) = gpu() else { return };
     for (stored, rounding) in stored(&gpu) {
         for (scenes, patch, heads) in [
@@ -88,22 +88,24 @@ fn heads_too_wide_and_rows_of_another_width_are_errors() {
 }
 
 #[test]
-fn queries_and_keys_turn_with_their_voxels() {
+pub fn queries_and_keys_turn_with_their_voxels() {
     let Some(gpu) = gpu() else { return };
     for (stored, rounding) in stored(&gpu) {
         for (count, dim) in [(1, 6), (2, 18), (3, 48)] {
             let (heads, n) = (Heads { count, dim }, 37);
             let c = heads.channels();
             let places: Vec<[i32; 3]> = (0..n).map(|i| [i * 37 % 211, (1 << 20) - i, i]).collect();
-            let list: Vec<u32> = (0..n as u32).rev().collect();
+            // Two entries in front belong to other slots.
+            let list: Vec<u32> = [0, 1].into_iter().chain((0..n as u32).rev()).collect();
             let qkv = random(n as usize * 3 * c, 1);
             let rotations = Rotations::new(&places, dim, 100.0);
             let device = DeviceRotations::upload(&gpu, &rotations).unwrap();
             let input = rows(&gpu, &qkv, 3 * c, stored);
             let slots = gpu.upload("list", &list).unwrap();
             let mut commands = gpu.commands();
-            point_rope(&mut commands, &input, heads, &device, &slots).unwrap();
-            let of_slots: Vec<[i32; 3]> = list.iter().map(|row| places[*row as usize]).collect();
+            point_rope(&mut commands, &input, heads, &device, &slots, 2).unwrap();
+            let of_slots: Vec<[i32; 3]> =
+                list[2..].iter().map(|row| places[*row as usize]).collect();
             let want = reference::point_rope(&qkv, &of_slots, count, dim, 100.0);
             let got = input.read(&mut commands).unwrap();
             close("rotary embedding", &got, &want, rounding * 2.0);
@@ -111,7 +113,7 @@ fn queries_and_keys_turn_with_their_voxels() {
                 assert_eq!(row[2 * c..], before[2 * c..], "values do not turn");
             }
             let other = Heads { count: 3 * count, dim: dim / 3 };
-            assert!(point_rope(&mut commands, &input, other, &device, &slots).is_err());
+            assert!(point_rope(&mut commands, &input, other, &device, &slots, 2).is_err());
         }
     }
 }

@@ -3,7 +3,15 @@
 #![allow(clippy::unwrap_used, clippy::panic, reason = "tests")]
 
 mod attention;
+mod cloud;
+mod clouds;
+mod curves;
+mod grid_sample;
+mod kernel_map;
 mod norms;
 mod pooling;
 mod products;
+mod radix_sort;
+mod scan;
 mod support;
+mod translation;

@@ -8,7 +8,7 @@ use scenesplat_kernels::normalize::normalize_rows;
 use scenesplat_test_support::reference;
 
 #[test]
-fn norms_follow_the_formula_with_every_ending() {
+pub fn norms_follow_the_formula_with_every_ending() {
     let Some(gpu) = gpu() else { return };
     for (stored, rounding) in stored(&gpu) {
         for (n, c) in [(1, 1), (5, 16), (70, 36), (9, 64), (3, 768), (66, 100)] {
@@ -73,7 +73,7 @@ fn rows_of_another_width_are_an_error() {
 }
 
 #[test]
-fn rows_have_unit_length_whatever_their_size() {
+pub fn rows_have_unit_length_whatever_their_size() {
     let Some(gpu) = gpu() else { return };
     for c in [1, 3, 64, 770] {
         let row = random(c, 1);

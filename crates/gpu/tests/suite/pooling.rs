@@ -18,7 +18,7 @@ fn on_device(gpu: &Gpu, groups: &Groups) -> DeviceGroups {
 }
 
 #[test]
-fn pooling_follows_the_formula() {
+pub fn pooling_follows_the_formula() {
     let Some(gpu) = gpu() else { return };
     let n = 150u32;
     let order: Vec<u32> = (0..n).map(|i| i * 61 % n).collect();
@@ -78,7 +78,7 @@ fn nan_ties_and_one_group_of_all_are_as_on_the_cpu() {
 }
 
 #[test]
-fn rows_are_copied_and_added_by_lists() {
+pub fn rows_are_copied_and_added_by_lists() {
     let Some(gpu) = gpu() else { return };
     for (stored, rounding) in stored(&gpu) {
         let c = 5;

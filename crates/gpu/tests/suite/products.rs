@@ -21,7 +21,7 @@ fn weights(gpu: &Gpu, w: &[f32], bias: Option<&[f32]>, shape: [usize; 3], s: Sto
 }
 
 #[test]
-fn linear_layers_follow_the_formula_at_every_width() {
+pub fn linear_layers_follow_the_formula_at_every_width() {
     let Some(gpu) = gpu() else { return };
     for (stored, rounding) in stored(&gpu) {
         for (m, k, n) in
@@ -50,7 +50,7 @@ fn linear_layers_follow_the_formula_at_every_width() {
 }
 
 #[test]
-fn lists_say_which_rows_are_read_and_where_results_go() {
+pub fn lists_say_which_rows_are_read_and_where_results_go() {
     let Some(gpu) = gpu() else { return };
     let (m, k, n) = (100, 20, 48);
     let (x, w, bias) = (random(m * k, 1), random(n * k, 2), random(n, 3));
@@ -59,14 +59,20 @@ fn lists_say_which_rows_are_read_and_where_results_go() {
     let want = linear(&x, &w, &bias, [m, k, n]);
     let from: Vec<u32> = (0..70).map(|i| i * 37 % 100).collect();
     let to: Vec<u32> = (0..70).map(|i| 79 - i).collect();
-    let (from_list, to_list) =
-        (gpu.upload("list", &from).unwrap(), gpu.upload("list", &to).unwrap());
+    // The lists begin with entries that do not count, and source rows are counted from 5.
+    let longer = |list: &[u32], base: u32| {
+        let list: Vec<u32> = [7, 7, 7].into_iter().chain(list.iter().map(|r| r + base)).collect();
+        gpu.upload("list", &list).unwrap()
+    };
+    let (from_list, to_list) = (longer(&from, 5), longer(&to, 0));
     let before = random(80 * n, 5);
     let into = rows(&gpu, &before, n, Stored::F32);
     let residual = random(9 * n, 6);
     let residual_rows: Vec<u32> = (0..80).map(|i| i % 9).collect();
     let how = Product {
+        range: Some(3..73),
         gather: Some(&from_list),
+        base: 5,
         scatter: Some(&to_list),
         into: Some(&into),
         residual: Some(&rows(&gpu, &residual, n, Stored::F32)),
@@ -118,7 +124,7 @@ fn table(gpu: &Gpu, map: &KernelMap, range: std::ops::Range<usize>) -> Array<u32
 }
 
 #[test]
-fn convolutions_follow_the_formula_whole_and_in_ranges() {
+pub fn convolutions_follow_the_formula_whole_and_in_ranges() {
     let Some(gpu) = gpu() else { return };
     let (cells, offsets) = voxels();
     let n = cells.len();

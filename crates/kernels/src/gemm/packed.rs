@@ -43,7 +43,7 @@ impl Unit {
             (Precision::Bf16, _) => Self::RoundedVector,
             (Precision::F32Split, Isa::Amx) => Self::SplitTiles,
             // Three dot products of pairs take longer than one of f32.
-            (Precision::F32Split | Precision::F32, _) => Self::Vector,
+            (Precision::F32Split | Precision::F32 | Precision::F16, _) => Self::Vector,
         }
     }
 

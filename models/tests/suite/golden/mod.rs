@@ -6,4 +6,4 @@ mod full_size;
 mod modules;
 mod padding;
 mod serialization;
-mod tiny_networks;
+pub mod tiny_networks;

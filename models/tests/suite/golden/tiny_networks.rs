@@ -60,16 +60,16 @@ pub fn outside(module: &str, t: &Tensor, points: &PointCloud) -> Tensor {
 }
 
 /// A network with its numbers of one mode, and the inputs of both.
-struct Case {
-    config: PointTransformerV3Config,
-    seed: u64,
-    inputs: Golden,
-    numbers: Golden,
+pub struct Case {
+    pub config: PointTransformerV3Config,
+    pub seed: u64,
+    pub inputs: Golden,
+    pub numbers: Golden,
     prefix: &'static str,
 }
 
 impl Case {
-    fn open(name: &str, mode: Mode) -> Option<Self> {
+    pub fn open(name: &str, mode: Mode) -> Option<Self> {
         let inputs = Golden::network(&format!("{name}.eval"))?;
         let prefix = if mode == Mode::Eval { "eval" } else { "train" };
         let numbers = Golden::network(&format!("{name}.{prefix}")).unwrap();
@@ -81,7 +81,7 @@ impl Case {
         format!("{}.{what}", self.prefix)
     }
 
-    fn orders(&self) -> Orders {
+    pub fn orders(&self) -> Orders {
         if !self.inputs.has("in.order_perms") {
             return Orders::Listed;
         }

@@ -9,23 +9,22 @@ const FORWARD: &str = "add_bias> batch_norm> expand_groups> gelu> layer_norm> pa
 
 on_devices! {
     litept_outputs = numerics::outputs_are_those_of_the_formulas,
-        "add_bias batch_norm expand_groups gelu layer_norm patch_attention permute_rows point_rope segment_reduce* sparse_conv",
-        [tensors device];
+        "add_bias batch_norm expand_groups gelu layer_norm patch_attention permute_rows point_rope segment_reduce sparse_conv",
+        [device];
     litept_gradients = numerics::gradients_are_differences_of_the_formulas,
-        "add_bias batch_norm batch_statistics> expand_groups gelu layer_norm patch_attention permute_rows point_rope segment_reduce* sparse_conv",
-        [kernels tensors device];
+        "add_bias batch_norm batch_statistics> expand_groups gelu layer_norm patch_attention permute_rows point_rope segment_reduce sparse_conv",
+        [kernels device];
     few_voxels_and_odd_places = determinism::few_voxels_and_odd_places, FORWARD,
-        [tensors device];
+        [device];
     about_as_many_voxels_as_a_patch_holds = determinism::about_as_many_voxels_as_a_patch_holds, FORWARD,
-        [kernels tensors device];
+        [kernels device];
     rows_that_share_a_voxel = determinism::rows_that_share_a_voxel, FORWARD,
-        [kernels tensors device];
+        [kernels device];
     features_of_any_finite_size = determinism::features_of_any_finite_size, FORWARD,
-        [kernels tensors device];
-    // Composed, the bits of a row hang on how many rows a product has.
+        [kernels device];
     damaged_values_stay_in_their_scene = determinism::damaged_values_stay_in_their_scene, FORWARD,
         [device];
     training_on_a_single_voxel = determinism::training_on_a_single_voxel,
         "add_bias batch_norm batch_statistics> expand_groups gelu layer_norm patch_attention segment_reduce sparse_conv",
-        [kernels tensors device];
+        [kernels device];
 }

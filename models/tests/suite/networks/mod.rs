@@ -2,7 +2,7 @@
 
 mod determinism;
 mod emulated;
-mod litept;
+pub mod litept;
 mod lpips;
 mod point_networks;
 mod precision;

@@ -3,7 +3,7 @@
 use candle_core::Device;
 use scenesplat_device::emulator::{Emulator, is_there};
 use scenesplat_kernels::fallbacks::Pass;
-use scenesplat_models::{DeviceChoice, EmulatedDevice, is_emulated, on_emulated_device};
+use scenesplat_models::{DeviceChoice, is_emulated, on_emulated_device};
 use std::cell::RefCell;
 use std::collections::BTreeSet;
 use std::sync::OnceLock;
@@ -45,32 +45,21 @@ pub fn kernels(work: fn(), operations: &str) {
     }
     let mut expected = BTreeSet::new();
     for operation in operations.split_whitespace() {
-        let name = operation.trim_end_matches(['>', '*']);
+        let name = operation.trim_end_matches('>');
         expected.insert((name, Pass::Forward));
         if !operation.contains('>') {
             expected.insert((name, Pass::Backward));
         }
     }
     for seed in [0, 0x5eed] {
-        let device = EmulatedDevice::Kernels(Emulator::new(seed));
-        let ((), launched) = on_emulated_device(device, work);
+        let ((), launched) = on_emulated_device(Emulator::new(seed), work);
         println!("launched: {launched:?}");
         assert_eq!(launched.into_keys().collect::<BTreeSet<_>>(), expected);
     }
 }
 
-/// Runs a comparison as on Metal; these operations, and no others, must be composed of candle's: those that end with `*`
-/// are not.
-pub fn tensors(work: fn(), operations: &str) {
-    let ((), composed) = on_emulated_device(EmulatedDevice::Tensors, work);
-    println!("composed: {composed:?}");
-    let composed: BTreeSet<&str> = composed.into_keys().map(|(name, _)| name).collect();
-    let expected = operations.split_whitespace().filter(|name| !name.ends_with('*'));
-    assert_eq!(composed, expected.map(|name| name.trim_end_matches('>')).collect());
-}
-
 /// Names tests, the comparisons that they run, their operations, and on which devices: `kernels` (emulated, with our
-/// kernels), `tensors` (with candle's operations alone), `device` (the one that is named).
+/// kernels), `device` (the one that is named).
 macro_rules! on_devices {
     ($($test:ident = $work:expr, $operations:expr, [$($device:ident)*];)*) => {$(
         mod $test {
