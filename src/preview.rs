@@ -16,6 +16,7 @@ mod rendered;
 mod rows;
 mod splats;
 pub(crate) mod text;
+mod theme;
 mod walls;
 
 pub use depth_picture::depth_picture;
@@ -26,6 +27,7 @@ pub use palette::{UNLABELLED_COLOR, class_color};
 pub use png::{write_png, write_png16};
 pub use rendered::{depth_steps, picture_of, rendered_picture, solid_depth};
 pub use rows::{PreviewRows, SceneRows, SplatShapes};
+pub use theme::Theme;
 
 pub(crate) use legend::{blend, fill, thousands};
 
@@ -78,6 +80,8 @@ pub struct PreviewSettings {
     pub up: Up,
     /// Width and height of each view, pixels.
     pub view_size: u32,
+    /// Colors around the scene.
+    pub theme: Theme,
     /// Leaves out the ceiling and the walls between camera and room, where there are such.
     pub open_rooms: bool,
 }
@@ -89,6 +93,7 @@ impl Default for PreviewSettings {
             warnings: Vec::new(),
             up: Up::PLUS_Z,
             view_size: 720,
+            theme: Theme::default(),
             open_rooms: true,
         }
     }
@@ -101,7 +106,6 @@ pub(crate) const FAINT_INK: [u8; 3] = [150, 152, 158];
 const MARGIN: u32 = 12;
 const TITLE_HEIGHT: u32 = 40;
 const WARNING_HEIGHT: u32 = 18;
-const WARNING_INK: [u8; 3] = [240, 170, 80];
 /// Warnings that have a line each.
 const MOST_WARNINGS: usize = 3;
 
@@ -115,7 +119,7 @@ pub fn render_preview(
     settings: &PreviewSettings,
 ) -> Result<RgbPicture, PreviewError> {
     check(rows, settings)?;
-    let view = settings.view_size;
+    let (view, theme) = (settings.view_size, settings.theme);
     let upright = Upright::new(settings.up);
     let kept = visible_rows(rows);
     let discs = discs_of(rows, &kept, upright);
@@ -130,26 +134,31 @@ pub fn render_preview(
     let warnings = warning_lines(&settings.warnings);
     let top = TITLE_HEIGHT + WARNING_HEIGHT * warnings.len() as u32;
     let height = top + view + MARGIN;
-    let mut picture = RgbPicture::filled(width, height, BACKGROUND);
+    let mut picture = RgbPicture::filled(width, height, theme.ground());
     let right = 2 * MARGIN + view;
 
     for (left, lens) in [(MARGIN, framing.perspective()), (right, framing.top())] {
-        let mut canvas = Canvas::new(view);
+        let mut canvas = Canvas::new(view, theme);
         drawn.draw(upright, &lens, &mut canvas);
         canvas.copy_to(&mut picture, left, top);
     }
 
-    text::draw(&mut picture, MARGIN, 13, 2, INK, &settings.title, width - 2 * MARGIN);
+    text::draw(&mut picture, MARGIN, 13, 2, theme.ink(), &settings.title, width - 2 * MARGIN);
     for (line, at) in warnings.iter().zip((TITLE_HEIGHT..).step_by(WARNING_HEIGHT as usize)) {
-        text::draw(&mut picture, MARGIN, at, 1, WARNING_INK, line, width - 2 * MARGIN);
+        text::draw(&mut picture, MARGIN, at, 1, theme.warning_ink(), line, width - 2 * MARGIN);
     }
     let caption = top + 8;
     let note = if framing.is_cut_open() { "perspective, cut open" } else { "perspective" };
-    text::draw(&mut picture, MARGIN + 8, caption, 1, FAINT_INK, note, view);
-    text::draw(&mut picture, right + 8, caption, 1, FAINT_INK, "from above", view);
-    draw_scale_bar(&mut picture, &framing.top(), [right, top], view);
+    for (left, note) in [(MARGIN, note), (right, "from above")] {
+        if let Some(plate) = theme.plate() {
+            let width = (text::width(note, 1) + 16).min(view);
+            fill(&mut picture, [left, top], [width, 20], plate);
+        }
+        text::draw(&mut picture, left + 8, caption, 1, theme.faint_ink(), note, view);
+    }
+    draw_scale_bar(&mut picture, &framing.top(), [right, top], view, theme);
     if !legend.is_empty() {
-        draw_legend(&mut picture, right + view + MARGIN, top, legend);
+        draw_legend(&mut picture, right + view + MARGIN, top, legend, theme);
     }
     Ok(picture)
 }
@@ -397,6 +406,28 @@ mod tests {
             pool.install(|| both(&coord, &small()))
         };
         assert!(on(1) == on(3));
+    }
+
+    #[test]
+    fn a_light_picture_is_white_with_dark_letters() {
+        let rows = PreviewRows { coord: &[], color: &[], radius: &[], opacity: &[], shapes: None };
+        let legend = [LegendEntry { name: "chair".into(), color: [250, 0, 0], count: 7 }];
+        let draw = |theme| {
+            let (title, warnings) = ("a scene".to_owned(), vec!["a warning".to_owned()]);
+            let settings = PreviewSettings { theme, title, warnings, ..small() };
+            render_preview(&rows, &legend, &settings).unwrap()
+        };
+        let (dark, light) = (draw(Theme::Dark), draw(Theme::Light));
+        assert_eq!((dark.width(), dark.height()), (light.width(), light.height()));
+        let share = |picture: &RgbPicture, is: fn([u8; 3]) -> bool| {
+            let all = picture.enumerate().count() as f64;
+            picture.enumerate().filter(|(_, _, pixel)| is(*pixel)).count() as f64 / all
+        };
+        let (is_light, is_dark) =
+            (|pixel: [u8; 3]| pixel[1] > 200, |pixel: [u8; 3]| pixel[1] < 110);
+        // Ground and views against letters and the color of the class.
+        assert!(share(&light, is_light) > 0.9 && share(&dark, is_dark) > 0.9);
+        assert!(share(&light, is_dark) > 0.005 && share(&dark, is_light) > 0.002);
     }
 
     #[test]

@@ -10,7 +10,7 @@ use scenesplat::memory::Bytes;
 use scenesplat::models::DeviceChoice;
 use scenesplat::models::convert::{Branch, ConvLayout};
 use scenesplat::network::{NetworkChoice, Weights};
-use scenesplat::preview::PreviewSettings;
+use scenesplat::preview::{PreviewSettings, Theme};
 use scenesplat::scene::{LoadedScene, Policy, ReadOptions, SpzFrame, Up};
 use scenesplat::{AlignmentSettings, Setting};
 use std::path::PathBuf;
@@ -46,13 +46,36 @@ pub struct PreviewArgs {
     /// Width and height of each view of preview.png, pixels, 64 to 4096.
     #[arg(long, value_name = "PIXELS", default_value_t = 720, value_parser = clap::value_parser!(u32).range(64..=4096))]
     pub preview_size: u32,
+    /// Colors around the scene in preview.png: dark, or light, for paper.
+    #[arg(
+        long,
+        value_name = "dark|light",
+        value_enum,
+        default_value_t,
+        hide_possible_values = true
+    )]
+    pub preview_theme: PreviewTheme,
+}
+
+/// Colors of preview.png.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, clap::ValueEnum)]
+pub enum PreviewTheme {
+    /// Light letters on a dark ground.
+    #[default]
+    Dark,
+    /// Dark letters on white.
+    Light,
 }
 
 impl PreviewArgs {
     /// A picture with that first line, that way up.
     pub fn settings(self, title: String, warnings: Vec<String>, up: Up) -> PreviewSettings {
         let view_size = self.preview_size;
-        PreviewSettings { title, warnings, up, view_size, ..PreviewSettings::default() }
+        let theme = match self.preview_theme {
+            PreviewTheme::Dark => Theme::Dark,
+            PreviewTheme::Light => Theme::Light,
+        };
+        PreviewSettings { title, warnings, up, view_size, theme, ..PreviewSettings::default() }
     }
 }
 
@@ -159,8 +182,9 @@ pub struct Inference {
     /// Which network.
     #[command(flatten)]
     pub network: NetworkArgs,
-    /// Where the network computes: cpu; cuda:0 or metal:0 (or another number), if the program was built for it
-    /// (docs/devices.md); auto, which is the first of these that there is, else cpu.
+    /// Where the network computes: cpu; cuda:0 (or another number) or gpu (the best graphics processor of any maker;
+    /// gpu:1, gpu:NAME for another), if the program was built for it (docs/devices.md); auto, which is the first of these
+    /// that there is, else cpu.
     #[arg(long, value_name = "DEVICE", default_value_t = DeviceChoice::Cpu)]
     pub device: DeviceChoice,
     /// Seed of everything random (nothing is, unless asked for).
@@ -172,9 +196,9 @@ pub struct Inference {
     pub exact: bool,
     /// Form of the numbers that are multiplied: f32; split (f32 as two bf16, where the CPU has bf16
     /// tiles); bf16 (rounded to 8 bits; about twice as fast with AVX512-BF16); int8 (layers of 64
-    /// channels and more as 8-bit integers with scales; fast with AVX512-VNNI or AVX-VNNI). f32 if not
-    /// given.
-    #[arg(long, value_name = "f32|split|bf16|int8")]
+    /// channels and more as 8-bit integers with scales; fast with AVX512-VNNI or AVX-VNNI); f16 (rows and weights in 16
+    /// bits, for --device gpu alone). f32 if not given.
+    #[arg(long, value_name = "f32|split|bf16|int8|f16", value_parser = Precision::of_any_device)]
     pub precision: Option<Precision>,
     /// Voxel size, meters; by default the one that the network was trained at.
     #[arg(long, value_name = "M", value_parser = parse_grid_size, allow_hyphen_values = true)]

@@ -5,6 +5,7 @@ import { MODES, paint, viridis, type Mode } from "./colors";
 import { startApp, type Saver } from "./app/app";
 import { carried, readAbout, readScene, type About, type Parts, type SceneData } from "./data";
 import { byId, css, element, short, thousands } from "./kit/dom";
+import { grown, Past } from "./editing";
 import { csv, ply, save } from "./exporting";
 import { readHash, writeHash } from "./hash";
 import { PhraseBook } from "./phrases";
@@ -19,6 +20,18 @@ const MODE_NAMES: Record<Mode, [string, string]> = {
 };
 /** Longest lists that are shown at once. */
 const MOST_ROWS = 400;
+/** Changes that can be undone: each keeps some bytes for every Gaussian. */
+const MOST_UNDONE = 16;
+
+/** What undo brings back. */
+interface State {
+  found: Found | null;
+  selected: Uint8Array | null;
+  threshold: number;
+  onlyWins: boolean;
+  asked: string;
+  hidden: Set<number>;
+}
 
 class Page {
   private mode: Mode = "colors";
@@ -29,6 +42,11 @@ class Page {
   private selected: Uint8Array | null = null;
   private stage: Stage | null = null;
   private book: PhraseBook;
+  private past = new Past<State>(MOST_UNDONE);
+  /** The text of the selection; the field may hold another one already. */
+  private asked = "";
+  /** The Gaussian that was clicked last, −1 = none. */
+  private clicked = -1;
   readonly queryTimes: number[] = [];
 
   /** Ends what listens to the document. */
@@ -62,6 +80,8 @@ class Page {
   /** The view that the address says. */
   private restore(): void {
     const before = readHash(location.hash);
+    this.past = new Past(MOST_UNDONE);
+    byId<HTMLButtonElement>("undo").disabled = true;
     this.clearQuery();
     this.mode = before.mode !== null && this.available(before.mode) ? before.mode : "colors";
     this.hidden.clear();
@@ -72,7 +92,7 @@ class Page {
     this.refresh();
     if (before.query !== "") {
       byId<HTMLInputElement>("query").value = before.query;
-      this.ask(before.query, before.threshold);
+      this.answer(before.query, before.threshold);
     }
     if (before.camera !== null) this.stage?.navigator.restore(before.camera);
   }
@@ -81,7 +101,7 @@ class Page {
   get hooks() {
     const stage = this.stage;
     return {
-      ask: (text: string) => this.ask(text, null),
+      ask: (text: string) => this.ask(text),
       frames: () => stage?.frames ?? 0,
       project: (row: number) => stage?.project(row) ?? null,
       pick: (x: number, y: number) => stage?.pick(x, y) ?? -1,
@@ -114,6 +134,7 @@ class Page {
   }
 
   private setMode(mode: Mode): void {
+    if (this.found !== null) this.note();
     this.mode = mode;
     this.clearQuery();
     this.refresh();
@@ -123,7 +144,7 @@ class Page {
     const input = byId<HTMLInputElement>("query");
     byId("ask").addEventListener("submit", (e) => {
       e.preventDefault();
-      this.ask(input.value, null);
+      this.ask(input.value);
     });
     input.addEventListener("input", () => {
       const names = this.book.suggest(input.value, 8);
@@ -134,16 +155,20 @@ class Page {
       }));
     });
     const slider = byId<HTMLInputElement>("threshold");
-    slider.addEventListener("input", () => this.select(Number(slider.value)));
+    slider.addEventListener("input", () => {
+      this.note("threshold");
+      this.select(Number(slider.value));
+    });
     const wins = byId<HTMLInputElement>("wins");
     wins.addEventListener("change", () => {
+      this.note();
       this.onlyWins = wins.checked;
       this.select(this.threshold);
     });
-    byId("clear").addEventListener("click", () => {
-      this.clearQuery();
-      this.refresh();
-    });
+    byId("clear").addEventListener("click", () => this.clear());
+    byId("grow").addEventListener("click", () => this.grow(1));
+    byId("shrink").addEventListener("click", () => this.grow(-1));
+    byId("undo").addEventListener("click", () => this.undo());
     byId("invert").addEventListener("click", () => this.invert());
     byId("csv").addEventListener("click", () => this.selected !== null
       && save(`${this.name()}.csv`, csv(this.data, this.selected), "text/csv"));
@@ -215,12 +240,16 @@ class Page {
   }
 
   private key(e: KeyboardEvent): void {
-    if (e.ctrlKey || e.metaKey || e.altKey) return;
     const target = e.target as HTMLElement;
     const types = target instanceof HTMLInputElement && target.type !== "checkbox" && target.type !== "range";
+    if ((e.ctrlKey || e.metaKey) && !e.altKey && !e.shiftKey && e.key === "z" && !types) {
+      e.preventDefault();
+      this.undo();
+      return;
+    }
+    if (e.ctrlKey || e.metaKey || e.altKey) return;
     if (e.key === "Escape") {
-      this.clearQuery();
-      this.refresh();
+      this.clear();
       byId("canvas").focus();
       return;
     }
@@ -238,6 +267,10 @@ class Page {
       this.stage?.navigator.goHome();
     } else if (e.key === "i") {
       this.invert();
+    } else if (e.key === "g" || e.key === "G") {
+      this.grow(e.key === "g" ? 1 : -1);
+    } else if (e.key === "u") {
+      this.undo();
     } else if (e.key === "c") {
       this.shoot();
     } else if (e.key === "p" && this.stage !== null) {
@@ -247,12 +280,17 @@ class Page {
     }
   }
 
-  private ask(text: string, threshold: number | null): void {
+  private ask(text: string): void {
     if (text.trim() === "") {
-      this.clearQuery();
-      this.refresh();
+      this.clear();
       return;
     }
+    this.note();
+    this.answer(text, null);
+  }
+
+  private answer(text: string, threshold: number | null): void {
+    this.asked = text;
     const began = performance.now();
     this.found = answer(this.data, this.book, text.slice(0, 500));
     byId<HTMLInputElement>("threshold").value = String(threshold ?? this.found.threshold);
@@ -271,14 +309,53 @@ class Page {
 
   private invert(): void {
     if (this.selected === null || this.found === null) return;
+    this.note();
     const invisible = this.hidden;
     this.selected = this.selected.map((s, i) => (s === 1 || invisible.has(this.data.label[i]) ? 0 : 1));
     this.found = { ...this.found, text: `all but ${this.found.text}` };
     this.refresh();
   }
 
+  /** Makes the selection larger or smaller. */
+  private grow(by: 1 | -1): void {
+    if (this.selected === null) return;
+    this.note();
+    this.selected = grown(this.data, this.selected, this.hidden, by);
+    this.refresh();
+  }
+
+  /** Keeps for undo what is selected and shown now. */
+  private note(kind: string | null = null): void {
+    const { found, selected, threshold, onlyWins, asked, hidden } = this;
+    this.past.note({ found, selected, threshold, onlyWins, asked, hidden: new Set(hidden) }, kind);
+    byId<HTMLButtonElement>("undo").disabled = false;
+  }
+
+  private undo(): void {
+    const before = this.past.back();
+    if (before === null) return;
+    byId<HTMLButtonElement>("undo").disabled = this.past.isEmpty;
+    this.clearQuery();
+    ({ found: this.found, selected: this.selected, threshold: this.threshold, onlyWins: this.onlyWins, asked: this.asked, hidden: this.hidden } = before);
+    byId<HTMLInputElement>("query").value = before.asked;
+    byId<HTMLInputElement>("threshold").value = String(before.threshold);
+    byId<HTMLInputElement>("wins").checked = before.onlyWins;
+    this.legend();
+    this.refresh();
+  }
+
+  /** Selects and measures nothing. */
+  private clear(): void {
+    if (this.found !== null) this.note();
+    this.clearQuery();
+    this.clicked = -1;
+    this.stage?.measure([]);
+    this.refresh();
+  }
+
   private clearQuery(): void {
     this.found = null;
+    this.asked = "";
     this.selected = null;
     byId<HTMLInputElement>("query").value = "";
     this.stage?.outline([], 0);
@@ -286,6 +363,7 @@ class Page {
 
   /** All Gaussians of a class or an object as the selection. */
   private take(text: string, is: (i: number) => boolean, objects: number[] | null): void {
+    this.note();
     const n = this.data.about.count;
     const wins = new Uint8Array(n), heat = new Uint8Array(n);
     for (let i = 0; i < n; i++) {
@@ -300,6 +378,7 @@ class Page {
   }
 
   private showAll(): void {
+    if (this.hidden.size > 0) this.note();
     this.hidden.clear();
     this.legend();
     this.refresh();
@@ -357,6 +436,7 @@ class Page {
       box.title = `show ${short(name)}`;
       box.setAttribute("aria-label", box.title);
       box.addEventListener("change", () => {
+        this.note();
         if (box.checked) this.hidden.delete(i + 1);
         else this.hidden.add(i + 1);
         this.refresh();
@@ -368,6 +448,7 @@ class Page {
       const only = element("button", { text: "only", className: "only", title: "hide all other classes" });
       only.setAttribute("aria-label", `only ${short(name)}`);
       only.addEventListener("click", () => {
+        this.note();
         this.hidden = new Set([0, ...classes.map((_, c) => c + 1)]);
         this.hidden.delete(i + 1);
         this.legend();
@@ -429,8 +510,14 @@ class Page {
       lines.push(["object", `${o.id}: ${thousands(o.count)} Gaussians`]);
       lines.push(["size", `${o.size.map((v) => v.toFixed(2)).join(" × ")} m`]);
     }
-    const p = Array.from(data.position.subarray(3 * row, 3 * row + 3), (v) => v * metresPerUnit);
-    lines.push(["place", `${p.map((v) => v.toFixed(3)).join(", ")} m`]);
+    const at = (of: number) => Array.from(data.position.subarray(3 * of, 3 * of + 3));
+    lines.push(["place", `${at(row).map((v) => (v * metresPerUnit).toFixed(3)).join(", ")} m`]);
+    if (this.clicked >= 0 && this.clicked !== row) {
+      const [from, to] = [at(this.clicked), at(row)];
+      lines.push(["from before", `${(Math.hypot(...to.map((v, a) => v - from[a])) * metresPerUnit).toFixed(3)} m`]);
+      this.stage?.measure([from, to]);
+    }
+    this.clicked = row;
     lines.push(["Gaussian", thousands(data.rows.length > 0 ? data.rows[row] : row)]);
     byId("facts").replaceChildren(...lines.flatMap(([k, v]) => [element("dt", { text: k }), element("dd", { text: v })]));
   }

@@ -31,6 +31,7 @@ export class Stage {
   private mesh!: SplatMesh;
   private rgba: RgbaArray;
   private outlines = new Group();
+  private measured = new Group();
   private dirty = 4;
   private last = 0;
   private resizing = new ResizeObserver(() => this.resize());
@@ -43,7 +44,7 @@ export class Stage {
     this.renderer.setClearColor(new Color(0x14161a), 1);
     this.renderer.setPixelRatio(Math.min(window.devicePixelRatio, 2));
     this.spark = new SparkRenderer({ renderer: this.renderer, onDirty: () => this.wake() });
-    this.scene.add(this.spark, this.outlines);
+    this.scene.add(this.spark, this.outlines, this.measured);
     this.camera = new PerspectiveCamera(55, 1, 0.02, 5000);
     this.navigator = new Navigator(this.camera, canvas, (x, y) => onClick(this.pick(x, y)));
     this.navigator.onChange = () => this.wake();
@@ -128,18 +129,26 @@ export class Stage {
 
   /** Boxes of the given corners, in the frame of the scene. */
   outline(boxes: number[][][], color: number): void {
-    this.outlines.clear();
-    if (boxes.length > 0) {
-      const at: number[] = [];
+    this.lines(this.outlines, boxes.flatMap((corners) => EDGES.map((i) => corners[i])), color);
+  }
+
+  /** A line between two places in the frame of the scene; none without them. */
+  measure(ends: number[][]): void {
+    this.lines(this.measured, ends, 0x5aa2f2);
+  }
+
+  /** Lines between the places of each pair, in the place of those of the group. */
+  private lines(group: Group, places: number[][], color: number): void {
+    for (const old of group.children) if (old instanceof LineSegments) old.geometry.dispose();
+    group.clear();
+    if (places.length > 0) {
       const p = new Vector3();
-      for (const corners of boxes) {
-        for (const i of EDGES) at.push(...p.fromArray(corners[i]).applyMatrix4(this.toWorld).toArray());
-      }
+      const at = places.flatMap((place) => p.fromArray(place).applyMatrix4(this.toWorld).toArray());
       const geometry = new BufferGeometry();
       geometry.setAttribute("position", new Float32BufferAttribute(at, 3));
       const lines = new LineSegments(geometry, new LineBasicMaterial({ color, depthTest: false, transparent: true }));
       lines.renderOrder = 10;
-      this.outlines.add(lines);
+      group.add(lines);
     }
     this.wake();
   }

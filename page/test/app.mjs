@@ -7,6 +7,7 @@ import { mkdirSync, mkdtempSync, rmSync, writeFileSync } from "node:fs";
 import { tmpdir } from "node:os";
 import { basename, resolve } from "node:path";
 import { pathToFileURL } from "node:url";
+import { none } from "./accessible.mjs";
 import { chromium, launch, open, seen, settled } from "./browser.mjs";
 import { npy } from "./engine.mjs";
 
@@ -73,6 +74,7 @@ try {
     const { page, bad } = await open(browser, url);
     await waiting(page);
     await page.screenshot({ path: `${shots}/app-empty.png` });
+    await none(page, "the page that waits for a file");
     report.messages = {};
     for (const [name, bytes, says] of hostile()) {
       const path = `${folder}/${name}`;

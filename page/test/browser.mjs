@@ -21,9 +21,10 @@ export async function launch(executablePath, webgl = true, more = []) {
 }
 
 /** Opens a page; everything it does that it must not is in `bad`. `served`: its chunks may be asked for. */
-export async function open(browser, url, { width = 960, height = 640, mobile = false, served = false } = {}) {
+export async function open(browser, url, { width = 960, height = 640, mobile = false, served = false, scheme = "light" } = {}) {
   const page = await browser.newPage();
   await page.setViewport({ width, height, isMobile: mobile, hasTouch: mobile });
+  await page.emulateMediaFeatures([{ name: "prefers-color-scheme", value: scheme }]);
   const bad = [];
   page.on("request", (request) => {
     const to = request.url();

@@ -40,6 +40,7 @@ const shown = (page, names) => page.evaluate((names) => {
 
 export async function controls(browser, url, shot) {
   await first(browser, url, shot);
+  await edits(browser, url, shot);
   await phone(browser, url, shot);
 }
 
@@ -69,6 +70,86 @@ async function first(browser, url, shot) {
     const left = await page.evaluate(room);
     assert.ok(left >= 0, `${width} pixels: the text of the search field is cut by ${-left}`);
   }
+  assert.deepEqual(bad, []);
+  await page.close();
+}
+
+/** A selection grows, shrinks and comes back; two clicks tell how far apart things are. */
+async function edits(browser, url, shot) {
+  const { page, bad } = await open(browser, url("room.html"));
+  await ready(page);
+  await settled(page);
+  const count = () => page.evaluate(() => globalThis.scenesplat.selected()?.reduce((sum, s) => sum + s, 0) ?? null);
+  const undo = () => page.$eval("#undo", (b) => b.disabled);
+  assert.deepEqual([await count(), await undo()], [null, true]);
+  await page.type("#query", "chair");
+  await page.keyboard.press("Enter");
+  const floor = () => page.evaluate(() => {
+    const { data, selected } = globalThis.scenesplat, floor = data.about.classes.findIndex((c) => c.name === "floor") + 1;
+    return selected().reduce((sum, s, i) => sum + (data.label[i] === floor ? s : 0), 0);
+  });
+  const chairs = await count(), ground = await floor();
+  await page.click("#grow");
+  const more = await count();
+  assert.ok(await floor() > ground, "the floor under the chairs is not taken in");
+  await page.focus("#canvas");
+  await page.keyboard.press("G");
+  const again = await count();
+  assert.ok(chairs > 0 && more > chairs && again < more, `${chairs} grow to ${more} and shrink to ${again}`);
+  // Floor that is hidden is not taken in.
+  const taken = await floor();
+  await page.$$eval("#classes li", (rows) => rows.find((r) => r.querySelector(".name").textContent === "floor").querySelector("input").click());
+  await page.keyboard.press("g");
+  assert.equal(await floor(), taken);
+  // Back, a change at a time, by each of the ways; the class is shown again.
+  await page.keyboard.press("u");
+  assert.equal(await count(), again);
+  await page.click("#undo");
+  assert.equal(await page.$$eval("#classes input", (all) => all.every((box) => box.checked)), true);
+  await page.focus("#canvas");
+  await page.keyboard.down("Control");
+  await page.keyboard.press("z");
+  await page.keyboard.up("Control");
+  assert.equal(await count(), more);
+  await page.keyboard.press("u");
+  assert.equal(await count(), chairs);
+  // Another question, and what was typed for the first.
+  await page.click("#query", { clickCount: 3 });
+  await page.keyboard.type("table");
+  await page.keyboard.press("Enter");
+  await page.keyboard.press("Escape");
+  assert.equal(await count(), null);
+  await page.keyboard.press("u");
+  assert.deepEqual([await page.$eval("#query", (e) => e.value), (await count()) > 0], ["table", true]);
+  await page.keyboard.press("u");
+  assert.deepEqual([await page.$eval("#query", (e) => e.value), await count()], ["chair", chairs]);
+  await page.keyboard.press("u");
+  assert.deepEqual([await count(), await undo()], [null, true]);
+  // The distance is that of the places the card names; it is drawn, and goes with Esc.
+  const { x, y, width, height } = await (await page.$("#canvas")).boundingBox();
+  const card = async (dx, dy) => {
+    await page.mouse.click(x + dx * width, y + dy * height);
+    return page.$$eval("#facts > *", (all) => Object.fromEntries(all.filter((e) => e.tagName === "DT").map((e) => [e.textContent, e.nextSibling.textContent])));
+  };
+  const one = await card(0.35, 0.5);
+  assert.ok(one.place !== undefined && one["from before"] === undefined, JSON.stringify(one));
+  const two = await card(0.65, 0.6);
+  const [p, q] = [one, two].map((c) => c.place.match(/-?[\d.]+/g).map(Number));
+  const apart = Math.hypot(...p.map((v, a) => v - q[a]));
+  assert.ok(apart > 0.3 && Math.abs(apart - parseFloat(two["from before"])) < 0.003, JSON.stringify([one, two]));
+  const drawn = (is) => page.waitForFunction((is) => {
+    const canvas = document.getElementById("canvas"), copy = new OffscreenCanvas(canvas.width, canvas.height), context = copy.getContext("2d");
+    context.drawImage(canvas, 0, 0);
+    const { data } = context.getImageData(0, 0, copy.width, copy.height);
+    let count = 0;
+    for (let i = 0; i < data.length; i += 4) count += Math.abs(data[i] - 90) + Math.abs(data[i + 1] - 162) + Math.abs(data[i + 2] - 242) < 12 ? 1 : 0;
+    return is ? count > 50 : count === 0;
+  }, { timeout: 20_000, polling: 200 }, is);
+  await drawn(true);
+  await shot(page, "distance");
+  await page.keyboard.press("Escape");
+  await drawn(false);
+  assert.equal((await card(0.5, 0.5))["from before"], undefined);
   assert.deepEqual(bad, []);
   await page.close();
 }

@@ -22,7 +22,7 @@ export async function modules(replaced = []) {
   };
   const out = await build({
     stdin: {
-      contents: ["classes", "codes", "query", "phrases", "exporting", "hash", "colors", "data", "room", "kit/numbers"]
+      contents: ["classes", "codes", "query", "phrases", "editing", "exporting", "hash", "colors", "data", "room", "kit/numbers"]
         .map((name) => `export * from "./src/${name}";`).join("\n"),
       resolveDir: here,
       loader: "ts",
@@ -180,6 +180,41 @@ function rooms(m) {
   }
 }
 
+/** Selections that grow and shrink by 5 cm, counted in cells of half of that. */
+function editing(m) {
+  /** A row of Gaussians, one a centimeter, of `length` meters. */
+  const row = (length, metresPerUnit) => {
+    const n = Math.round(100 * length) + 1;
+    return {
+      about: { count: n, metresPerUnit }, label: Uint16Array.from({ length: n }, (_, i) => (i < 150 ? 1 : 2)),
+      position: Float32Array.from({ length: 3 * n }, (_, k) => (k % 3 === 1 ? Math.floor(k / 3) / 100 / metresPerUnit : 7)),
+    };
+  };
+  const from = (chosen, n) => Uint8Array.from({ length: n }, (_, i) => (chosen(i) ? 1 : 0));
+  const ends = (s) => [s.indexOf(1), s.lastIndexOf(1), s.reduce((sum, v) => sum + v, 0)];
+  for (const unit of [1, 0.25]) {
+    const data = row(3, unit), n = data.about.count, middle = from((i) => i >= 100 && i < 200, n);
+    const [a, b, count] = ends(m.grown(data, middle, new Set(), 1));
+    assert.ok(a >= 92 && a <= 97 && b >= 202 && b <= 207 && count === b - a + 1, `${a} ${b} ${count}`);
+    const [c, d, fewer] = ends(m.grown(data, middle, new Set(), -1));
+    assert.ok(c >= 102 && c <= 107 && d >= 192 && d <= 197 && fewer === d - c + 1, `${c} ${d} ${fewer}`);
+    // One that is missing inside makes no hole, and what is hidden neither comes in nor holds back.
+    const [, , holed] = ends(m.grown(data, from((i) => i >= 100 && i < 200 && i !== 149, n), new Set(), -1));
+    assert.equal(holed, fewer - 1);
+    const right = from((i) => i >= 150 && i < 200, n);
+    assert.equal(ends(m.grown(data, right, new Set([1]), 1))[0], 150);
+    assert.equal(ends(m.grown(data, right, new Set([1]), -1))[0], 150);
+    assert.ok(ends(m.grown(data, right, new Set(), 1))[0] < 150);
+  }
+  // Small things by less: a step of a fiftieth of the longest side.
+  const small = row(0.8, 1), [a, b] = ends(m.grown(small, from((i) => i >= 20 && i < 30, 81), new Set(), 1));
+  assert.ok(a >= 18 && a < 20 && b > 29 && b < 32, `${a} ${b}`);
+  assert.deepEqual([...m.grown({ ...row(0, 1), label: Uint16Array.from([1]) }, Uint8Array.from([1]), new Set(), 1)], [1]);
+  const past = new m.Past(3);
+  for (const [state, kind] of [[0, null], [1, null], [2, "slider"], [3, "slider"], [4, null]]) past.note(state, kind);
+  assert.deepEqual([past.back(), past.back(), past.isEmpty, past.back(), past.isEmpty, past.back()], [4, 2, false, 1, true, null]);
+}
+
 export async function check(m) {
   // Codes: by WebAssembly, in plain code, and by hand; widths that fill no eight.
   for (const width of [1, 3, 8, 24, 31]) {
@@ -303,6 +338,7 @@ export async function check(m) {
     assert.deepEqual([3, 7, 11, 15, 19, 23].map((i) => out[i]), [128, 128, 0, 0, 128, 0], mode);
   }
   rooms(m);
+  editing(m);
   // The legend: by size, the building's parts last, what does not occur not at all.
   const legend = [["Wall", 900], ["chair", 5], ["wallpaper", 4], ["inner wall", 800], ["HouseWall", 700], ["lamp", 0], ["floor", 950],
     ["table", 70], ["wall clock", 3], ["ceiling", 1], ["x".repeat(100_000), 2], ["chair two", 5]];

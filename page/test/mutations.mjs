@@ -38,6 +38,12 @@ const BUGS = [
   ["what is cut away is drawn", "colors.ts", "out[4 * i + 3] = 0;", ";"],
   ["the building comes first", "classes.ts", "building[a] - building[b] ||", ""],
   ["a wall clock is a wall", "classes.ts", ".at(-1) ??", ".at(0) ??"],
+  ["what shrinks grows", "editing.ts", "const now = by === 1 ? 1 : 0;", "const now = 1;"],
+  ["what is hidden is taken in", "editing.ts", "(hidden.has(data.label[i]) ? 0 : 1)", "1"],
+  ["single Gaussians make holes", "editing.ts", "balance[cell] >= 0", "balance[cell] > 3"],
+  ["steps are in the unit of the file", "editing.ts", "REACH / metresPerUnit", "REACH"],
+  ["small things are edited by as much as rooms", "editing.ts", "SHARE * longest", "Infinity"],
+  ["a slider fills what can be undone", "editing.ts", "if (kind !== null && this.states.at(-1)?.kind === kind) return;", ""],
   ["a camera that is none is believed", "hash.ts", "camera.length === 6 && camera.every(Number.isFinite)", "camera.length === 6"],
 ];
 

@@ -6,6 +6,7 @@ import assert from "node:assert/strict";
 import { existsSync, mkdirSync, readFileSync } from "node:fs";
 import { resolve } from "node:path";
 import { pathToFileURL } from "node:url";
+import { accessible } from "./accessible.mjs";
 import { chromium, launch, open, percentiles, pixels, ready, seen, settled } from "./browser.mjs";
 import { controls } from "./controls.mjs";
 import { large } from "./large.mjs";
@@ -138,6 +139,7 @@ try {
     await again.page.close();
   }
   await controls(browser, url, shot);
+  await accessible(browser, url);
   {
     // Names that would be markup, a class of a megabyte, emoji: text, and nothing runs.
     const { page, bad } = await open(browser, url("hostile.html"));

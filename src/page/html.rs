@@ -41,10 +41,8 @@ pub(super) fn assemble_with(
     let program = Carried { name: "program", bytes: PROGRAM };
     let carried = || carried.iter().chain([&program]);
     blocks.extend(carried().map(|c| Block::bytes(format!("block-{}", c.name), c.bytes)));
-    let body = BODY.replace(
-        "<pre id=\"licenses\"></pre>",
-        &format!("<pre id=\"licenses\">{}</pre>", escaped(super::LICENSES)),
-    );
+    // Its only preformatted text.
+    let body = BODY.replacen("</pre>", &format!("{}</pre>", escaped(super::LICENSES)), 1);
     let document = Document {
         title,
         class: "dark",

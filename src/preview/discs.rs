@@ -1,5 +1,6 @@
 //! Discs with a depth buffer.
 
+use super::Theme;
 use rayon::prelude::*;
 use scenesplat_scene::picture::RgbPicture;
 
@@ -75,6 +76,7 @@ pub(super) struct Canvas {
     alpha: Vec<f32>,
     /// Extent of what is shown: the unit of depth differences.
     size: f64,
+    theme: Theme,
 }
 
 /// A disc on the canvas, fine pixels.
@@ -87,10 +89,10 @@ struct Stamp {
 }
 
 impl Canvas {
-    pub(super) fn new(view: u32) -> Self {
+    pub(super) fn new(view: u32, theme: Theme) -> Self {
         let side = (view * SUPERSAMPLING) as usize;
         let (depth, color) = (vec![EMPTY; side * side], vec![[0; 3]; side * side]);
-        Self { side, depth, color, alpha: Vec::new(), size: 1.0 }
+        Self { side, depth, color, alpha: Vec::new(), size: 1.0, theme }
     }
 
     /// Fine pixels along a side.
@@ -191,7 +193,8 @@ impl Canvas {
 
     fn backdrop(&self, y: usize) -> [f32; 3] {
         let share = y as f32 / self.side as f32;
-        [44.0, 47.0, 54.0].map(|v| v + 14.0 * share)
+        let (above, change) = self.theme.backdrop();
+        above.map(|v| v + change * share)
     }
 
     /// Brightness: lower behind the edges of what is in front, and slightly lower far away.

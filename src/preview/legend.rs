@@ -1,7 +1,7 @@
 //! What stands beside the views: the classes with their colors, and a bar of a known length.
 
 use super::discs::Lens;
-use super::{FAINT_INK, INK, MARGIN, text};
+use super::{MARGIN, Theme, text};
 use scenesplat_objects::is_building;
 use scenesplat_scene::picture::RgbPicture;
 use std::cmp::Reverse;
@@ -28,6 +28,7 @@ pub(super) fn draw_scale_bar(
     lens: &Lens,
     [left, top]: [u32; 2],
     view: u32,
+    theme: Theme,
 ) {
     let Some(metres_per_pixel) = lens.metres_per_pixel(view) else { return };
     let longest = metres_per_pixel * f64::from(view) / 4.0;
@@ -36,7 +37,10 @@ pub(super) fn draw_scale_bar(
     let Some(length) = length.filter(|l| l.is_finite() && *l > 0.0) else { return };
     let pixels = (length / metres_per_pixel).round() as u32;
     let (x, y) = (left + 10, top + view - 14);
-    fill(picture, [x, y], [pixels, 3], INK);
+    if let Some(plate) = theme.plate() {
+        fill(picture, [left, y - 18], [pixels + 20, 32], plate);
+    }
+    fill(picture, [x, y], [pixels, 3], theme.ink());
     let label = if length >= 1.0 {
         format!("{length} m")
     } else if length >= 0.01 {
@@ -44,10 +48,16 @@ pub(super) fn draw_scale_bar(
     } else {
         format!("{} mm", length * 1000.0)
     };
-    text::draw(picture, x, y - 12, 1, INK, &label, view);
+    text::draw(picture, x, y - 12, 1, theme.ink(), &label, view);
 }
 
-pub(super) fn draw_legend(picture: &mut RgbPicture, left: u32, top: u32, legend: &[LegendEntry]) {
+pub(super) fn draw_legend(
+    picture: &mut RgbPicture,
+    left: u32,
+    top: u32,
+    legend: &[LegendEntry],
+    theme: Theme,
+) {
     let mut sorted: Vec<&LegendEntry> = legend.iter().collect();
     sorted.sort_by_key(|entry| (is_building(&entry.name), Reverse(entry.count), &entry.name));
     let room = (picture.height().saturating_sub(top + MARGIN)) / 22;
@@ -63,14 +73,14 @@ pub(super) fn draw_legend(picture: &mut RgbPicture, left: u32, top: u32, legend:
         fill(picture, [left, y], [16, 16], entry.color);
         let count = thousands(entry.count);
         let count_left = right - text::width(&count, 1);
-        text::draw(picture, count_left, y + 4, 1, FAINT_INK, &count, LEGEND_WIDTH);
+        text::draw(picture, count_left, y + 4, 1, theme.faint_ink(), &count, LEGEND_WIDTH);
         let space = count_left.saturating_sub(left + 32);
-        text::draw(picture, left + 24, y + 4, 1, INK, &entry.name, space);
+        text::draw(picture, left + 24, y + 4, 1, theme.ink(), &entry.name, space);
         y += 22;
     }
     if sorted.len() > lines {
         let more = format!("... {} more", sorted.len() - lines);
-        text::draw(picture, left + 24, y + 4, 1, FAINT_INK, &more, LEGEND_WIDTH);
+        text::draw(picture, left + 24, y + 4, 1, theme.faint_ink(), &more, LEGEND_WIDTH);
     }
 }
 

@@ -5,7 +5,7 @@ use super::framing::{Framing, LOWEST_ROOM, Upright};
 use super::legend::draw_scale_bar;
 use super::rows::{PreviewRows, discs_of, visible_rows};
 use super::splats::Drawn;
-use super::{FAINT_INK, text};
+use super::{FAINT_INK, Theme, text};
 use scenesplat_scene::Up;
 use scenesplat_scene::picture::RgbPicture;
 
@@ -103,12 +103,12 @@ impl<'a> LevelViews<'a> {
             size,
             near: 0.0,
         };
-        let mut canvas = Canvas::new(view);
+        let mut canvas = Canvas::new(view, Theme::Dark);
         Drawn::of(&self.rows, &kept, shown, size).draw(self.upright, &lens, &mut canvas);
         canvas.copy_to(picture, left, top);
         // What is drawn reaches under bar, axes and name; they stand on a ground of their own.
         super::fill(picture, [left, top + view - 36], [view / 4 + 20, 36], LABEL_GROUND);
-        draw_scale_bar(picture, &lens, [left, top], view);
+        draw_scale_bar(picture, &lens, [left, top], view, Theme::Dark);
         let note = if is_cut { format!("{name}, cut open") } else { name.to_owned() };
         super::fill(picture, [left, top], [text::width(&note, 1) + 16, 22], LABEL_GROUND);
         text::draw(picture, left + 8, top + 8, 1, FAINT_INK, &note, view);

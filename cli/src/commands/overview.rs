@@ -1,7 +1,7 @@
 //! The commands in groups, an example of each, and the help that shows them.
 
-use clap::Command;
 use clap::builder::styling::Styles;
+use clap::{Arg, Command};
 
 /// One command, or one part of a command.
 struct Row {
@@ -160,7 +160,7 @@ fn with_examples(mut command: Command, path: &mut Vec<String>) -> Command {
         path.push(name.clone());
         let whole = path.join(" ");
         command = command.mut_subcommand(&name, |inner| {
-            let inner = with_examples(inner, path);
+            let inner = with_examples(inner, path).mut_args(with_negative_numbers);
             match ROWS.iter().find(|row| row.path == whole) {
                 Some(row) => inner.after_help(format!("Example: {}", row.example)),
                 None => inner,
@@ -169,6 +169,13 @@ fn with_examples(mut command: Command, path: &mut Vec<String>) -> Command {
         path.pop();
     }
     command
+}
+
+/// A negative number after a flag is its value, which the flag may refuse: clap would call it a flag that does not exist, and
+/// suggest `-- -1`, which is a scene.
+fn with_negative_numbers(arg: Arg) -> Arg {
+    let takes = arg.get_action().takes_values() && !arg.is_positional();
+    arg.allow_negative_numbers(takes)
 }
 
 #[cfg(test)]

@@ -49,6 +49,15 @@ fn misspelt_commands_and_flags_get_the_nearest() {
 }
 
 #[test]
+fn negative_numbers_are_values_that_flags_refuse() {
+    for line in ["segment room.ply --vote-k -1", "objects room.ply --gap -0.1"] {
+        let output = run!("{line}");
+        refused(&output, 2, &["invalid value '-"]);
+        assert!(!stderr(&output).contains("-- -"), "{}", stderr(&output));
+    }
+}
+
+#[test]
 fn a_file_gives_what_the_command_line_does_not() {
     let folder = Folder::new();
     let room = folder.room("room.ply", 1500, 1);

@@ -168,6 +168,7 @@ export function takeFiles(): HTMLElement {
     stop,
   ]);
   box.id = "drop";
+  box.setAttribute("aria-label", "The file of the scene");
   return box;
 }
 

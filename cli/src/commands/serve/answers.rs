@@ -192,7 +192,7 @@ impl<'a> Scene<'a> {
             classes: labelling.classes.clone(),
             vote_k: labelling.vote_k,
             features: labelling.features.clone(),
-            preview: PreviewArgs { preview_size: 720 },
+            preview: PreviewArgs { preview_size: 720, preview_theme: Default::default() },
             budget: Default::default(),
             effects: labelling.effects.clone(),
             inference: labelling.inference.clone(),
