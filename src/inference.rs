@@ -181,6 +181,8 @@ pub struct EncodeSummary {
     pub shrunk_halos: usize,
     /// Whether features went through a file.
     pub spilled: bool,
+    /// Whether the network's device takes fewer voxels at once than the limit of memory allows.
+    pub limited_by_device: bool,
 }
 
 /// Called before each part of the work; an error stops it.
@@ -289,6 +291,7 @@ impl<'a> SceneEncoder<'a> {
             passes,
             smallest_halo: self.halo,
             spilled: budget.spill,
+            limited_by_device: network.most_voxels() == Some(budget.max_voxels),
             ..EncodeSummary::default()
         };
         for pass in 0..passes {

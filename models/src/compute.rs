@@ -1,5 +1,6 @@
 //! How a network computes, as opposed to what.
 
+use candle_core::{Result, bail};
 use scenesplat_kernels::Precision;
 
 /// Choices that change speed and rounding, but not the function that a network stands for.
@@ -24,4 +25,15 @@ impl Default for Compute {
 impl Compute {
     /// f32, layer by layer as the parameters are stored.
     pub const EXACT: Self = Self { precision: Precision::F32, fold: false };
+
+    /// That tensors are not computed in [`Precision::F16`].
+    ///
+    /// # Errors
+    /// If they were to be.
+    pub(crate) fn refuse_f16(self) -> Result<()> {
+        if self.precision == Precision::F16 {
+            bail!("precision f16: only graphics processors compute in it");
+        }
+        Ok(())
+    }
 }

@@ -7,7 +7,6 @@ use crate::{
 };
 use candle_core::{Result, bail};
 use candle_nn::VarBuilder;
-use scenesplat_kernels::Precision;
 use scenesplat_kernels::grid_sample::{MAX_GRID_SIZE, is_grid_size};
 use serde::de::{Error, MapAccess, Visitor};
 use serde::{Deserialize, Deserializer, Serialize, Serializer};
@@ -163,9 +162,6 @@ impl ModelConfig {
     /// If the fields do not fit together, or parameters exist with another shape.
     pub fn build(&self, vb: VarBuilder<'_>) -> Result<Box<dyn Backbone>> {
         self.check()?;
-        if self.backbone.get().compute().precision == Precision::F16 {
-            bail!("precision f16: only graphics processors compute in it");
-        }
         self.head.build(self.backbone.get().build(vb.clone())?, vb)
     }
 

@@ -181,7 +181,7 @@ mod tests {
             ("voxel=", "voxel", "above 0"),
             ("voxel=2cm", "voxel", "meters"),
             ("net=", "net", "embedded"),
-            ("precision=f64", "precision", "bf16"),
+            ("precision=f16", "precision", "bf16"),
             ("precision=", "precision", "f32"),
             ("patch=0", "patch", "1 to 65536"),
             ("patch=65537", "patch", "1 to 65536"),

@@ -102,13 +102,21 @@ impl Session<'_> {
     fn tell_features(&self, features: &SceneFeatures) {
         let (receipt, s) = (&self.receipt, features.summary);
         if s.tiles > s.passes {
-            receipt.setting("tiles", s.tiles, "the scene was cut to stay below --max-memory");
+            let why = match s.limited_by_device {
+                true => "the scene was cut to what one array of the device holds",
+                false => "the scene was cut to stay below --max-memory",
+            };
+            receipt.setting("tiles", s.tiles, why);
             receipt.setting("halo", s.smallest_halo, "narrowest context around a tile, voxels");
         }
         if s.shrunk_halos > 0 {
+            let mend = match s.limited_by_device {
+                true => "the device's arrays allow no more; the cpu does",
+                false => "allow more memory",
+            };
             self.warn(format!(
                 "{} tiles had to narrow their halo to as little as {} voxels; features near their \
-                 borders differ from an untiled run (allow more memory)",
+                 borders differ from an untiled run ({mend})",
                 s.shrunk_halos, s.smallest_halo
             ));
         }

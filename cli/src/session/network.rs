@@ -7,7 +7,7 @@ use anyhow::{Context, Result};
 use scenesplat::Network;
 use scenesplat::kernels::simd::Isa;
 use scenesplat::models::{Compute, DeviceChoice, LoadPolicy, OpenDevice};
-use scenesplat::network::{WeightOptions, Weights, network_of};
+use scenesplat::network::{NetworkError, WeightOptions, Weights, network_of};
 use scenesplat::scene::printable;
 use std::sync::Arc;
 
@@ -40,7 +40,17 @@ impl Session<'_> {
         let config = inference.effective.apply_to_network(config.with_compute(compute));
         let config = config.map_err(|error| WrongUse(format!("--setting: {error}")))?;
         let device = self.device(&inference.device)?;
-        let network = Network::load_on(config, weights, options, &device)?;
+        let network = if inference.device == DeviceChoice::Auto && !device.is_cpu() {
+            let loaded = Network::load_on(config.clone(), weights, options.clone(), &device);
+            loaded.or_else(|why| {
+                let cpu = Network::load_on(config, weights, options, &OpenDevice::default())?;
+                self.warn_loudly(format!("--device auto: computing on the cpu: {why}"));
+                self.receipt.setting("device", "cpu", "the device cannot run the network");
+                Ok::<_, NetworkError>(cpu)
+            })?
+        } else {
+            Network::load_on(config, weights, options, &device)?
+        };
         self.note_weights(&network, weights);
         if partial && !network.report().is_complete() {
             self.doubt(format!("partial weights: {}", network.report()));

@@ -20,16 +20,13 @@ fn labels_and_features_are_those_of_the_cpu() {
         return;
     }
     let folder = Folder::new();
-    let scene = folder.room("room.ply", 6000, 5);
+    let scene = folder.room("room.ply", 2500, 5);
     let run = |command: &str, device: &str, out: &str| {
         let out = folder.at(out);
-        let output = run!("{command} {scene} --as-is --device {device} --out {out}");
-        done(&output);
-        printed(&output)
+        done(&run!("{command} {scene} --as-is --device {device} --out {out}"));
     };
     run("segment", "cpu", "cpu");
-    let told = run("segment", "gpu", "gpu");
-    has(&told, &["device: gpu ("]);
+    run("segment", "gpu", "gpu");
     let receipt = json(folder.path("gpu/receipt.json"));
     assert!(setting(&receipt, "device").unwrap().starts_with("gpu ("), "{receipt}");
     let (on_cpu, on_gpu) =
@@ -41,8 +38,9 @@ fn labels_and_features_are_those_of_the_cpu() {
     run("features", "gpu --precision f16", "features_f16");
     let rows = |name: &str| floats(folder.path(name).join("features.npy"));
     let (want, got, half) = (rows("features_cpu"), rows("features_gpu"), rows("features_f16"));
-    let width = want.len() / 6000;
+    let width = want.len() / 2500;
     let least = |got: &[f32]| {
+        assert!(got.iter().all(|v| v.is_finite()));
         let rows = got.chunks_exact(width).zip(want.chunks_exact(width));
         let dot = |a: &[f32], b: &[f32]| -> f64 {
             a.iter().zip(b).map(|(a, b)| f64::from(*a) * f64::from(*b)).sum()
@@ -88,5 +86,5 @@ fn without_a_driver_auto_is_the_cpu_and_says_so() {
     assert!(!folder.path("out").exists());
     done(&run("auto"));
     let receipt = json(folder.path("out/receipt.json")).to_string();
-    assert!(receipt.contains("--device auto: computing on the cpu"), "{receipt}");
+    assert!(receipt.contains("--device auto: computing on the cpu: gpu: no graphics"), "{receipt}");
 }

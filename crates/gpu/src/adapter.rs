@@ -96,7 +96,9 @@ fn describe(adapter: wgpu::Adapter) -> Found {
 
 /// The largest array that a kernel can read.
 pub(crate) fn largest_array(limits: &wgpu::Limits) -> u64 {
-    limits.max_storage_buffer_binding_size.min(limits.max_buffer_size)
+    let allowed = limits.max_storage_buffer_binding_size.min(limits.max_buffer_size);
+    // Kernels count values and bytes in 32 bits, and buffers have multiples of 16 bytes.
+    allowed.min(u32::MAX.into()) & !15
 }
 
 /// The adapter that is meant.

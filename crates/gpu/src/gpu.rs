@@ -15,6 +15,8 @@ const INVOCATIONS: u32 = 256;
 const WORKGROUP_MEMORY: u32 = 16 << 10;
 /// Arrays that one kernel reads and writes.
 const ARRAYS: u32 = 8;
+/// Kernels of one command buffer at most. Drivers reset a device whose buffer takes seconds.
+const DISPATCHES: usize = 32;
 
 fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
     mutex.lock().unwrap_or_else(PoisonError::into_inner)
@@ -32,9 +34,17 @@ struct Inner {
     queue: wgpu::Queue,
     info: AdapterInfo,
     kernels: Mutex<HashMap<String, Arc<Kernel>>>,
-    /// The first thing that went wrong since it was last asked for.
-    problem: Arc<Mutex<Option<GpuError>>>,
+    problems: Arc<Mutex<Problems>>,
     memory: Arc<Mutex<Memory>>,
+}
+
+/// What went wrong on a device. Nobody takes it away: whoever began before a problem came fails.
+#[derive(Debug, Default)]
+struct Problems {
+    count: u64,
+    last: Option<GpuError>,
+    /// Why the device is gone for good.
+    lost: Option<GpuError>,
 }
 
 /// Bytes of arrays on the device.
@@ -97,23 +107,26 @@ impl Gpu {
         let opened = pollster::block_on(adapter.request_device(&descriptor));
         let unusable = |problem: String| GpuError::Unusable { adapter: info.name.clone(), problem };
         let (device, queue) = opened.map_err(|error| unusable(error.to_string()))?;
-        let problem = Arc::new(Mutex::new(None));
-        let (errors, lost, name) = (Arc::clone(&problem), Arc::clone(&problem), info.name.clone());
+        let problems: Arc<Mutex<Problems>> = Arc::default();
+        let (errors, lost) = (Arc::clone(&problems), Arc::clone(&problems));
+        let name = info.name.clone();
         device.on_uncaptured_error(Arc::new(move |error| {
             let error = match error {
                 wgpu::Error::OutOfMemory { .. } => GpuError::OutOfMemory(name.clone()),
                 other => GpuError::Refused(other.to_string()),
             };
-            lock(&errors).get_or_insert(error);
+            let mut problems = lock(&errors);
+            problems.count += 1;
+            problems.last = Some(error);
         }));
         device.set_device_lost_callback(move |reason, message| {
             // Dropping the device says the same; then nobody asks any more.
             let message = format!("{reason:?} {message}").trim().to_owned();
-            *lock(&lost) = Some(GpuError::Lost(message));
+            lock(&lost).lost = Some(GpuError::Lost(message));
         });
         let largest_array = largest_array(&limits);
         let (kernels, memory) = (Mutex::default(), Arc::default());
-        let inner = Inner { device, queue, info, kernels, problem, memory };
+        let inner = Inner { device, queue, info, kernels, problems, memory };
         Ok(Self { inner: Arc::new(inner), largest_array })
     }
 
@@ -153,16 +166,39 @@ impl Gpu {
     /// Takes the device away as a driver does that resets it. For tests of what follows.
     pub fn lose(&self) {
         self.inner.device.destroy();
-        *lock(&self.inner.problem) = Some(GpuError::Lost("destroyed".to_owned()));
     }
 
-    /// The first thing that went wrong since the last call; a lost device stays lost.
-    fn check(&self) -> Result<()> {
-        let mut problem = lock(&self.inner.problem);
-        match &*problem {
-            None => Ok(()),
-            Some(lost @ GpuError::Lost(_)) => Err(lost.clone()),
-            Some(_) => problem.take().map_or(Ok(()), Err),
+    /// How many problems there were.
+    fn problems(&self) -> u64 {
+        lock(&self.inner.problems).count
+    }
+
+    /// The last problem, if there were more than `before`; a lost device stays lost.
+    fn check(&self, before: u64) -> Result<()> {
+        let problems = lock(&self.inner.problems);
+        if let Some(lost) = &problems.lost {
+            return Err(lost.clone());
+        }
+        let Some(last) = problems.last.clone().filter(|_| problems.count != before) else {
+            return Ok(());
+        };
+        drop(problems);
+        // A device that is gone refuses commands before it says that it is.
+        _ = self.wait(wgpu::PollType::Poll);
+        Err(lock(&self.inner.problems).lost.clone().unwrap_or(last))
+    }
+
+    /// Waits for the device. wgpu panics where a driver lost it.
+    fn wait(&self, how: wgpu::PollType) -> Result<()> {
+        let poll = || self.inner.device.poll(how);
+        match std::panic::catch_unwind(std::panic::AssertUnwindSafe(poll)) {
+            Ok(Ok(_)) => Ok(()),
+            Ok(Err(error)) => Err(GpuError::Lost(error.to_string())),
+            Err(_) => {
+                let error = GpuError::Lost("the driver does not answer".to_owned());
+                lock(&self.inner.problems).lost.get_or_insert(error.clone());
+                Err(error)
+            }
         }
     }
 
@@ -178,6 +214,7 @@ impl Gpu {
         if let Some(kernel) = lock(&self.inner.kernels).get(&key) {
             return Arc::clone(kernel);
         }
+        let before = self.problems();
         let text = expand(text, flags, constants);
         let wgsl = text.clone();
         let module = self.inner.device.create_shader_module(wgpu::ShaderModuleDescriptor {
@@ -199,6 +236,10 @@ impl Gpu {
             });
         let layout = pipeline.get_bind_group_layout(0);
         let kernel = Arc::new(Kernel { name: key.clone(), wgsl, pipeline, layout });
+        if self.problems() != before {
+            // It did not compile, and the next one who asks shall hear it too.
+            return kernel;
+        }
         lock(&self.inner.kernels).entry(key).or_insert(kernel).clone()
     }
 
@@ -216,6 +257,7 @@ impl Gpu {
     /// # Errors
     /// If it is too large for the device.
     pub fn upload<T: Pod>(&self, what: &str, values: &[T]) -> Result<Array<T>> {
+        let before = self.problems();
         let storage = self.allocate(what, size_of_val(values) as u64, true)?;
         if let Some(buffer) = &storage.buffer
             && !values.is_empty()
@@ -226,23 +268,27 @@ impl Gpu {
                     view.slice(..bytes.len()).copy_from_slice(bytes);
                     drop(view);
                 }
-                Err(error) => return Err(self.or_problem(GpuError::Refused(error.to_string()))),
+                Err(error) => {
+                    return Err(self.or_problem(before, GpuError::Refused(error.to_string())));
+                }
             }
         }
         if let Some(buffer) = &storage.buffer {
             buffer.unmap();
         }
-        self.check()?;
+        self.check(before)?;
         Ok(Array { storage: Arc::new(storage), len: values.len(), of: PhantomData })
     }
 
     /// The reported problem, or this one if none was reported.
-    fn or_problem(&self, error: GpuError) -> GpuError {
-        self.check().err().unwrap_or(error)
+    fn or_problem(&self, before: u64, error: GpuError) -> GpuError {
+        self.check(before).err().unwrap_or(error)
     }
 
     fn allocate(&self, what: &str, bytes: u64, mapped: bool) -> Result<Storage> {
-        self.check()?;
+        if let Some(lost) = &lock(&self.inner.problems).lost {
+            return Err(lost.clone());
+        }
         if bytes > self.largest_array {
             let (what, adapter) = (what.to_owned(), self.inner.info.name.clone());
             return Err(GpuError::TooLarge { what, bytes, limit: self.largest_array, adapter });
@@ -273,8 +319,10 @@ impl Gpu {
             encoder: None,
             pass: None,
             pool: Arc::default(),
+            before: self.problems(),
             dispatches: 0,
-            submissions: 0,
+            reads: 0,
+            waiting: 0,
         }
     }
 }
@@ -356,7 +404,8 @@ impl<T> Bound for Array<T> {
     }
 }
 
-/// The commands of one scene, recorded one after the other and run on the device when a result is read.
+/// The commands of one scene, recorded one after the other. They run on the device in parts, the last of them when a result
+/// is read.
 ///
 /// An array that is dropped gives its memory to the arrays that later commands of the same scene ask for.
 pub struct Commands {
@@ -365,8 +414,12 @@ pub struct Commands {
     pass: Option<wgpu::ComputePass<'static>>,
     encoder: Option<wgpu::CommandEncoder>,
     pool: Arc<Pool>,
+    /// Problems of the device when the commands began.
+    before: u64,
     dispatches: usize,
-    submissions: usize,
+    reads: usize,
+    /// Kernels that were not given to the device yet.
+    waiting: usize,
 }
 
 impl fmt::Debug for Commands {
@@ -386,9 +439,9 @@ impl Commands {
         self.dispatches
     }
 
-    /// Command buffers given to the device so far: one for each result that was read.
-    pub fn submissions(&self) -> usize {
-        self.submissions
+    /// Results read so far; each waits for the device.
+    pub fn reads(&self) -> usize {
+        self.reads
     }
 
     /// An array for a kernel to fill; its values are anything until then.
@@ -449,7 +502,10 @@ impl Commands {
         });
         match uniform.get_mapped_range_mut(..) {
             Ok(mut view) => view.slice(..bytes.len()).copy_from_slice(bytes),
-            Err(error) => return Err(self.gpu.or_problem(GpuError::Refused(error.to_string()))),
+            Err(error) => {
+                let error = GpuError::Refused(error.to_string());
+                return Err(self.gpu.or_problem(self.before, error));
+            }
         }
         uniform.unmap();
         let mut entries =
@@ -474,7 +530,11 @@ impl Commands {
             pass.dispatch_workgroups(x as u32, y as u32, 1);
         }
         self.dispatches += 1;
-        self.gpu.check()
+        self.waiting += 1;
+        if self.waiting >= DISPATCHES {
+            self.submit();
+        }
+        self.gpu.check(self.before)
     }
 
     /// Sets all bytes of an array to 0.
@@ -513,14 +573,15 @@ impl Commands {
             );
         }
         self.submit();
+        self.reads += 1;
         let (sender, receiver) = std::sync::mpsc::channel();
         staging.map_async(wgpu::MapMode::Read, .., move |result| {
             // Nobody listens if the wait below failed.
             _ = sender.send(result);
         });
-        let waited = self.gpu.inner.device.poll(wgpu::PollType::wait_indefinitely());
-        self.gpu.check()?;
-        waited.map_err(|error| GpuError::Lost(error.to_string()))?;
+        let waited = self.gpu.wait(wgpu::PollType::wait_indefinitely());
+        self.gpu.check(self.before)?;
+        waited?;
         // Another thread that waited for the device may be the one that calls back, a moment later.
         match receiver.recv() {
             Ok(Ok(())) => {}
@@ -538,7 +599,7 @@ impl Commands {
         self.pass = None;
         if let Some(encoder) = self.encoder.take() {
             self.gpu.inner.queue.submit([encoder.finish()]);
-            self.submissions += 1;
+            self.waiting = 0;
         }
     }
 }

@@ -1,7 +1,7 @@
 // (x - mean) / sqrt(variance + epsilon) · weight + bias over the channels of each row; then GELU or a residual.
 //
-// LANES invocations share a row. Rows too large for f32 squares are divided by their largest value first, so that they
-// get what the CPU computes in f64. A row with NaN or an infinity is NaN.
+// LANES invocations share a row. Rows too large for f32 squares are made smaller first, so that they get what the CPU
+// computes in f64. A row with NaN or an infinity is NaN.
 // Flags: GELU, RESIDUAL (added at the end).
 
 struct Params {
@@ -12,6 +12,9 @@ struct Params {
 
 const THREADS: u32 = 64u;
 const LARGE: f32 = 1e15;
+// Brings any row above that to values whose squares are numbers.
+const SMALLER: f32 = 1e-25;
+const LEAST: f32 = 1.2e-38;
 
 @group(0) @binding(0) var<uniform> p: Params;
 @group(0) @binding(1) var<storage, read> x: array<stored>;
@@ -70,7 +73,7 @@ fn main(
     }
   }
   most = largest(thread, most);
-  let scale = select(1.0, 1.0 / most, most > LARGE);
+  let scale = select(1.0, SMALLER, most > LARGE);
   let number = f32(p.channels);
   var sum = 0.0;
   if (here) {
@@ -87,7 +90,9 @@ fn main(
     }
   }
   let variance = total(thread, sum) / number;
-  let inverse = 1.0 / sqrt(variance + p.epsilon * scale * scale);
+  let spread = variance + p.epsilon * scale * scale;
+  // Not `max`, which may lose NaN.
+  let inverse = 1.0 / sqrt(select(spread, LEAST, spread < LEAST));
   if (here) {
     for (var c = lane; c < p.channels; c += LANES) {
       var value = (f32(x[base + c]) * scale - mean) * inverse * weight[c] + bias[c];

@@ -63,11 +63,13 @@ fn main(
   if (row0 >= p.rows) {
     return;
   }
-  let tx = thread % (COLUMNS / 4u);
-  let ty = thread / (COLUMNS / 4u);
-  var sum: array<vec4<f32>, 4>;
-  for (var i = 0u; i < 4u; i++) {
-    sum[i] = vec4<f32>(0.0);
+  // Eight rows and eight columns for each invocation.
+  let tx = thread % (COLUMNS / 8u);
+  let ty = thread / (COLUMNS / 8u);
+  var sum: array<array<vec4<f32>, 2>, 8>;
+  for (var i = 0u; i < 8u; i++) {
+    sum[i][0] = vec4<f32>(0.0);
+    sum[i][1] = vec4<f32>(0.0);
   }
   for (var tap = 0u; tap < p.taps; tap++) {
     if (thread == 0u) {
@@ -122,16 +124,19 @@ fn main(
       }
       workgroupBarrier();
       for (var k = 0u; k < DEPTH; k++) {
-        let w = b[k * (COLUMNS / 4u) + tx];
-        for (var i = 0u; i < 4u; i++) {
-          sum[i] += a[k * ROWS + ty * 4u + i] * w;
+        let left = b[k * (COLUMNS / 4u) + tx * 2u];
+        let right = b[k * (COLUMNS / 4u) + tx * 2u + 1u];
+        for (var i = 0u; i < 8u; i++) {
+          let value = a[k * ROWS + ty * 8u + i];
+          sum[i][0] += value * left;
+          sum[i][1] += value * right;
         }
       }
       workgroupBarrier();
     }
   }
-  for (var i = 0u; i < 4u; i++) {
-    let row = row0 + ty * 4u + i;
+  for (var i = 0u; i < 8u; i++) {
+    let row = row0 + ty * 8u + i;
     if (row >= p.rows) {
       break;
     }
@@ -140,12 +145,12 @@ fn main(
 //#else
     let to = p.at + row;
 //#endif
-    for (var j = 0u; j < 4u; j++) {
-      let column = column0 + tx * 4u + j;
+    for (var j = 0u; j < 8u; j++) {
+      let column = column0 + tx * 8u + j;
       if (column >= p.outputs) {
         break;
       }
-      var value = sum[i][j];
+      var value = sum[i][j / 4u][j % 4u];
 //#if BIAS
       value += bias[column];
 //#endif

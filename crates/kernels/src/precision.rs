@@ -47,7 +47,18 @@ impl Precision {
         if self.has_gradient() { self } else { Self::F32 }
     }
 
-    /// Name as [`FromStr`] reads it.
+    /// As [`FromStr`], and `f16` as well: for networks that may be on a graphics processor.
+    ///
+    /// # Errors
+    /// If there is no such name.
+    pub fn of_any_device(name: &str) -> Result<Self, String> {
+        match name {
+            "f16" => Ok(Self::F16),
+            name => name.parse().map_err(|problem| format!("{problem}; f16 with --device gpu")),
+        }
+    }
+
+    /// Name as [`FromStr`] reads it, which reads those of the CPU.
     pub fn name(self) -> &'static str {
         match self {
             Self::F32 => "f32",
@@ -68,10 +79,8 @@ impl fmt::Display for Precision {
 impl FromStr for Precision {
     type Err = String;
     fn from_str(name: &str) -> Result<Self, String> {
-        let known = Self::ALL.into_iter().chain([Self::F16]).find(|p| p.name() == name);
-        known.ok_or_else(|| {
-            format!("unknown precision {name:?}: choose f32, split, bf16, int8 or f16")
-        })
+        let known = Self::ALL.into_iter().find(|p| p.name() == name);
+        known.ok_or_else(|| format!("unknown precision {name:?}: choose f32, split, bf16 or int8"))
     }
 }
 
@@ -81,9 +90,13 @@ mod tests {
 
     #[test]
     fn names_are_read_back() {
-        for p in Precision::ALL.into_iter().chain([Precision::F16]) {
+        for p in Precision::ALL {
             assert_eq!(p.to_string().parse(), Ok(p));
         }
-        assert!("f64".parse::<Precision>().unwrap_err().contains("choose"));
+        for p in Precision::ALL.into_iter().chain([Precision::F16]) {
+            assert_eq!(Precision::of_any_device(p.name()), Ok(p));
+        }
+        assert!(Precision::of_any_device("f64").unwrap_err().contains("f16 with --device gpu"));
+        assert!("f16".parse::<Precision>().unwrap_err().contains("choose"));
     }
 }

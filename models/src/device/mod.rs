@@ -167,9 +167,17 @@ impl DeviceChoice {
             Self::Cuda(number) => cuda(self, *number),
             Self::Gpu(name) => gpu(self, name),
             Self::Auto => {
-                Ok(cuda(&Self::Cuda(0), 0).or_else(|why| hardware_gpu().ok_or(why)).unwrap_or_else(
-                    |why| OpenDevice { fell_back: Some(why), ..OpenDevice::default() },
-                ))
+                let found = cuda(&Self::Cuda(0), 0).or_else(|cuda| {
+                    // Of two reasons the one that is of this machine, not of the program.
+                    hardware_gpu().map_err(|gpu| match gpu {
+                        DeviceError::NotBuilt { .. } => cuda,
+                        gpu => gpu,
+                    })
+                });
+                Ok(found.unwrap_or_else(|why| OpenDevice {
+                    fell_back: Some(why),
+                    ..OpenDevice::default()
+                }))
             }
         }
     }
@@ -276,14 +284,14 @@ fn gpu(choice: &DeviceChoice, _: &GpuName) -> Result<OpenDevice, DeviceError> {
 }
 
 /// The best graphics processor that is no program on the CPU: that would compute the same, slower.
-fn hardware_gpu() -> Option<OpenDevice> {
+fn hardware_gpu() -> Result<OpenDevice, DeviceError> {
+    let found = gpu(&DeviceChoice::Gpu(GpuName::Best), &GpuName::Best)?;
     #[cfg(feature = "wgpu")]
-    return scenesplat_gpu::Gpu::open(&scenesplat_gpu::Choice::Best)
-        .ok()
-        .filter(|gpu| !gpu.info().software)
-        .map(of_gpu);
-    #[cfg(not(feature = "wgpu"))]
-    None
+    if found.gpu.as_ref().is_some_and(|gpu| gpu.info().software) {
+        let problem = format!("{} is a program on the cpu", found.name);
+        return Err(DeviceError::Gpu { device: DeviceChoice::Gpu(GpuName::Best), problem });
+    }
+    Ok(found)
 }
 
 #[cfg(test)]

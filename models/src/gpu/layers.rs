@@ -9,7 +9,7 @@ use crate::layers::{BatchNorm, LayerNorm as HostLayerNorm, NormKind, vector};
 use candle_core::{Result, Tensor, bail};
 use candle_nn::VarBuilder;
 use scenesplat_gpu::ops::layer_norm::{Ending, LayerNorm, layer_norm};
-use scenesplat_gpu::ops::patch_attention::patch_attention;
+use scenesplat_gpu::ops::patch_attention::{MAX_DIM, patch_attention};
 use scenesplat_gpu::ops::point_rope::point_rope;
 use scenesplat_gpu::ops::pool::{Affine, DeviceGroups, pool};
 use scenesplat_gpu::ops::product::{Product, Weights, product};
@@ -288,6 +288,12 @@ pub(super) struct AttentionShape {
 impl AttentionMlp {
     pub fn new(place: &Place, shape: AttentionShape, vb: &VarBuilder<'_>) -> Result<Self> {
         let (c, hidden) = (shape.channels, shape.mlp_ratio * shape.channels);
+        if c / shape.heads > MAX_DIM {
+            bail!(
+                "heads of {} channels: graphics processors take {MAX_DIM} at most",
+                c / shape.heads
+            );
+        }
         Ok(Self {
             norm1: place.layer_norm(c, &vb.pp("norm1.0"))?,
             qkv: place.linear(c, 3 * c, &vb.pp("attn.qkv"))?,

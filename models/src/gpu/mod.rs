@@ -27,7 +27,8 @@ fn wrap(error: scenesplat_gpu::GpuError) -> candle_core::Error {
 }
 
 impl ModelConfig {
-    /// Builds the network with its head on a graphics processor. `vb` gives frozen values on the CPU; rows and weights are
+    /// Builds the network with its head on a graphics processor. It has no [observer](crate::Forward::observer): nothing is
+    /// read before the end. `vb` gives frozen values on the CPU; rows and weights are
     /// stored as `stored` says, sums are f32.
     ///
     /// # Errors

@@ -77,6 +77,7 @@ impl LitePt {
     /// If the configuration does not fit together or parameters exist with another shape.
     pub fn new(config: &LitePtConfig, vb: VarBuilder<'_>) -> Result<Self> {
         config.check()?;
+        config.compute.refuse_f16()?;
         let (channels, compute) = (&config.enc_channels, config.compute);
         let embedding =
             Embedding::convolution(config.in_channels, channels[0], compute, vb.pp("embedding"))?;

@@ -125,6 +125,7 @@ impl PointTransformerV3 {
     /// If the configuration does not fit together or parameters exist with another shape.
     pub fn new(config: &PointTransformerV3Config, vb: VarBuilder<'_>) -> Result<Self> {
         let curves = config.check()?;
+        config.compute.refuse_f16()?;
         let (channels, compute) = (&config.enc_channels, config.compute);
         let (version, norm) = (config.version, config.version.norm());
         let first = match version {

@@ -69,6 +69,7 @@ fn configs() -> Vec<(&'static str, ModelConfig)> {
 /// Largest difference relative to the largest value.
 fn difference(got: &[f32], want: &[f32]) -> f64 {
     assert_eq!(got.len(), want.len());
+    assert!(got.iter().chain(want).all(|v| v.is_finite()));
     let largest = want.iter().fold(1e-6, |m: f32, v| m.max(v.abs()));
     got.iter().zip(want).fold(0.0, |m: f64, (g, w)| m.max(f64::from((g - w).abs() / largest)))
 }
@@ -78,6 +79,7 @@ fn cosine(got: &[f32], want: &[f32], width: usize) -> f64 {
     let dot = |a: &[f32], b: &[f32]| -> f64 {
         a.iter().zip(b).map(|(a, b)| f64::from(*a) * f64::from(*b)).sum()
     };
+    assert!(got.iter().chain(want).all(|v| v.is_finite()));
     let rows = got.chunks_exact(width).zip(want.chunks_exact(width));
     let cosine = |(a, b)| dot(a, b) / (dot(a, a) * dot(b, b)).sqrt();
     rows.map(cosine).sum::<f64>() / (got.len() / width) as f64

@@ -101,7 +101,7 @@ impl Rows {
         }
         let values = match stored {
             Stored::F32 => Values::F32(gpu.upload("rows", values)?),
-            Stored::F16 => Values::F16(gpu.upload("rows", &halves(values))?),
+            Stored::F16 => Values::F16(gpu.upload("rows", &halves("rows", values)?)?),
         };
         Ok(Self { values, rows, channels })
     }
@@ -156,8 +156,17 @@ impl Rows {
 }
 
 /// Values rounded to 16 bits.
-fn halves(values: &[f32]) -> Vec<f16> {
-    values.iter().map(|v| f16::from_f32(*v)).collect()
+///
+/// # Errors
+/// If a number is too large for 16 bits.
+fn halves(what: &str, values: &[f32]) -> Result<Vec<f16>> {
+    let half = |v: &f32| match f16::from_f32(*v) {
+        half if half.is_infinite() && v.is_finite() => {
+            shape(format!("{what}: {v} is too large for 16 bits; use --precision f32"))
+        }
+        half => Ok(half),
+    };
+    values.iter().map(half).collect()
 }
 
 /// A number of rows or channels as kernels take it.

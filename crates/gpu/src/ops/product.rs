@@ -52,7 +52,7 @@ impl Weights {
         }
         let values = match stored {
             Stored::F32 => super::Values::F32(gpu.upload("weights", &packed)?),
-            Stored::F16 => super::Values::F16(gpu.upload("weights", &halves(&packed))?),
+            Stored::F16 => super::Values::F16(gpu.upload("weights", &halves("weights", &packed)?)?),
         };
         let values = Rows { values, rows: taps * inputs, channels: columns };
         let bias = bias.map(|bias| gpu.upload("bias", bias)).transpose()?;
@@ -197,7 +197,7 @@ pub fn product(
     if how.gelu {
         flags.push("GELU");
     }
-    let constants = [("COLUMNS", columns), ("THREADS", columns * 4)];
+    let constants = [("COLUMNS", columns), ("THREADS", columns)];
     let kernel = commands.gpu().kernel("product", TEXT, &stored.with(flags), &constants);
     let params = Params {
         rows: number(rows)?,

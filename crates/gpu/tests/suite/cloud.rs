@@ -63,9 +63,9 @@ pub fn pooled_scales_are_those_of_the_cpu_down_to_one_voxel() {
             let mut want =
                 SerializedCloud::new(grid.clone(), offsets.clone(), &curves, rule).unwrap();
             for shift in [1, 2, 3, 11, 9] {
-                let before = commands.submissions();
+                let before = commands.reads();
                 let (coarse, groups) = got.pool(&mut commands, shift).unwrap();
-                assert_eq!(commands.submissions(), before + 1, "one result is read");
+                assert_eq!(commands.reads(), before + 1, "one result is read");
                 let (want_coarse, want_groups) = want.pool(shift);
                 same(&mut commands, &coarse, &want_coarse);
                 same_groups(&mut commands, &groups, &want_groups);

@@ -134,7 +134,7 @@ fn points_become_scales_without_leaving_the_device() {
         let mut commands = gpu.commands();
         let device = gpu.upload("points", &coord).unwrap();
         let found = voxel_groups(&mut commands, &device, 0.1, KeyOrder::Morton).unwrap();
-        assert_eq!(commands.submissions(), 2, "bounds, and the number of voxels");
+        assert_eq!(commands.reads(), 2, "bounds, and the number of voxels");
         let cloud =
             DeviceCloud::new(&mut commands, &found.cells, vec![0, n], &Curve::ALL, rule).unwrap();
         let (coarse, _) = cloud.pool(&mut commands, 2).unwrap();

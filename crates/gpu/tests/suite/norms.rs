@@ -45,7 +45,8 @@ fn hard_rows_get_what_f64_gives_and_bad_ones_stay_alone() {
     nan[3] = f32::NAN;
     let mut infinite = plain.clone();
     infinite[9] = f32::NEG_INFINITY;
-    let x = [&plain, &nan, &constant, &infinite, &huge, &tiny, &vec![0.0; c]]
+    let (large, largest) = (vec![1e20; c], vec![3e38; c]);
+    let x = [&plain, &nan, &constant, &infinite, &huge, &tiny, &vec![0.0; c], &large, &largest]
         .map(|r| r.clone())
         .concat();
     let norm = LayerNorm::upload(&gpu, &vec![1.0; c], &vec![0.25; c]).unwrap();
@@ -54,7 +55,7 @@ fn hard_rows_get_what_f64_gives_and_bad_ones_stay_alone() {
     let out = layer_norm(&mut commands, &input, &norm, Ending::None).unwrap();
     let got = out.read(&mut commands).unwrap();
     let want = reference::layer_norm(&x, c, &vec![1.0; c], &vec![0.25; c], 1e-5);
-    for row in [0, 2, 4, 5, 6] {
+    for row in [0, 2, 4, 5, 6, 7, 8] {
         let part = row * c..(row + 1) * c;
         close(&format!("row {row}"), &got[part.clone()], &want[part], 4e-6);
     }
@@ -95,5 +96,26 @@ pub fn rows_have_unit_length_whatever_their_size() {
     let got = got.read(&mut commands).unwrap();
     for (i, v) in got.iter().enumerate() {
         assert_eq!(v.is_nan(), i / 8 == 1, "value {i}");
+    }
+}
+
+/// More workgroups than one dimension has.
+#[test]
+fn rows_beyond_one_dimension_of_workgroups_are_like_the_others() {
+    let Some(gpu) = gpu() else { return };
+    for (n, c) in [(131_073, 1), (65_537, 65)] {
+        let x = random(n * c, 1);
+        let mut commands = gpu.commands();
+        let input = rows(&gpu, &x, c, Stored::F32);
+        let norm = LayerNorm::upload(&gpu, &vec![1.0; c], &vec![0.5; c]).unwrap();
+        let unit = unit_rows(&mut commands, &input).unwrap().read(&mut commands).unwrap();
+        let out = layer_norm(&mut commands, &input, &norm, Ending::None).unwrap();
+        let normed = out.read(&mut commands).unwrap();
+        let mut want = x.clone();
+        normalize_rows(&mut want, c);
+        let want: Vec<f64> = want.iter().map(|v| f64::from(*v)).collect();
+        close("unit rows", &unit, &want, 1e-6);
+        let want = reference::layer_norm(&x, c, &vec![1.0; c], &vec![0.5; c], 1e-5);
+        close("norm", &normed, &want, 1e-5);
     }
 }

@@ -232,3 +232,34 @@ fn sizes_that_do_not_fit_are_errors_and_no_rows_are_no_work() {
     assert!(Weights::upload(&gpu, &[1.0; 5], None, [2, 1, 3], Stored::F32).is_err());
     assert!(Rows::upload(&gpu, &[1.0; 5], 2, Stored::F32).is_err());
 }
+
+#[test]
+fn numbers_too_large_for_16_bits_are_refused() {
+    let Some(gpu) = gpu() else { return };
+    if gpu.has_f16() {
+        let error = Rows::upload(&gpu, &[1.0, 7e4], 2, Stored::F16).unwrap_err().to_string();
+        assert!(error.contains("70000") && error.contains("f32"), "{error}");
+        assert!(Rows::upload(&gpu, &[f32::INFINITY, f32::NAN], 2, Stored::F16).is_ok());
+        assert!(Weights::upload(&gpu, &[-7e4], None, [1, 1, 1], Stored::F16).is_err());
+    }
+}
+
+/// A device that goes away between recording and reading, and before anything is recorded.
+#[test]
+fn a_device_that_is_lost_gives_errors_from_then_on() {
+    if gpu().is_none() {
+        return;
+    }
+    let own = Gpu::open(&scenesplat_gpu::Choice::Best).unwrap();
+    let layer = weights(&own, &random(12, 1), None, [4, 1, 3], Stored::F32);
+    let x = rows(&own, &random(9, 1), 3, Stored::F32);
+    let mut commands = own.commands();
+    let out = product(&mut commands, &x, &layer, &Product::default()).unwrap();
+    own.lose();
+    let error = out.read(&mut commands).unwrap_err();
+    assert!(matches!(error, GpuError::Lost(_)), "{error}");
+    let error = Rows::upload(&own, &[1.0], 1, Stored::F32).unwrap_err();
+    assert!(matches!(error, GpuError::Lost(_)), "{error}");
+    let again = product(&mut own.commands(), &x, &layer, &Product::default());
+    assert!(matches!(again.unwrap_err(), GpuError::Lost(_)));
+}

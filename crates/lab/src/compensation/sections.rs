@@ -7,9 +7,13 @@ use scenesplat_rasterizer::RenderPlan;
 /// Whether the scene went through tiles with context around them.
 pub fn tiles_section(summary: &EncodeSummary, limited: bool) -> PlanSection {
     let on = summary.tiles > summary.passes;
+    let limit = match summary.limited_by_device {
+        true => "what one array of the device holds",
+        false => "the limit of memory",
+    };
     let why = match (on, limited) {
         (true, _) => format!(
-            "{} tiles to keep the limit of memory, halo of {} voxels or more",
+            "{} tiles to keep {limit}, halo of {} voxels or more",
             summary.tiles, summary.smallest_halo
         ),
         (false, true) => "the scene fits the limit of memory in one piece".to_owned(),
