@@ -92,6 +92,18 @@ pub fn lists_say_which_rows_are_read_and_where_results_go() {
     // Rows 0 to 9 were not named: they keep every bit.
     let got = values(&gpu, &into);
     assert_eq!(got[..10 * n], before[..10 * n]);
+    // Without a list for it, the residual is that of the place where a result goes.
+    let beside = random(80 * n, 7);
+    let beside_rows = rows(&gpu, &beside, n, Stored::F32);
+    let how = Product { residual: Some(&beside_rows), residual_rows: None, ..how };
+    let out = product(&mut commands, &input, &layer, &how).unwrap();
+    for (from, to) in from.iter().zip(&to) {
+        for c in 0..n {
+            let at = *to as usize * n + c;
+            expected[at] = want[*from as usize * n + c] + f64::from(beside[at]);
+        }
+    }
+    close("a residual by place", &out.read(&mut commands).unwrap(), &expected, 2e-6);
 }
 
 /// Scattered voxels of two scenes.
