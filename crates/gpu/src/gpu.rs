@@ -282,6 +282,8 @@ impl Gpu {
 
     /// The reported problem, or this one if none was reported.
     fn or_problem(&self, before: u64, error: GpuError) -> GpuError {
+        // A device that is gone gives buffers that cannot be used before it says that it is.
+        _ = self.wait(wgpu::PollType::Poll);
         self.check(before).err().unwrap_or(error)
     }
 

@@ -274,4 +274,14 @@ fn a_device_that_is_lost_gives_errors_from_then_on() {
     assert!(matches!(error, GpuError::Lost(_)), "{error}");
     let again = product(&mut own.commands(), &x, &layer, &Product::default());
     assert!(matches!(again.unwrap_err(), GpuError::Lost(_)));
+    let own = Gpu::open(&scenesplat_gpu::Choice::Best).unwrap();
+    own.lose();
+    let error = Rows::upload(&own, &[1.0], 1, Stored::F32).unwrap_err();
+    assert!(matches!(error, GpuError::Lost(_)), "{error}");
+    let own = Gpu::open(&scenesplat_gpu::Choice::Best).unwrap();
+    let x = rows(&own, &random(9, 1), 3, Stored::F32);
+    let layer = weights(&own, &random(12, 1), None, [4, 1, 3], Stored::F32);
+    own.lose();
+    let error = product(&mut own.commands(), &x, &layer, &Product::default()).unwrap_err();
+    assert!(matches!(error, GpuError::Lost(_)), "{error}");
 }
